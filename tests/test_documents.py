@@ -11,7 +11,8 @@ from damaged_inputs import changed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from paceline.documents.loading import load_clip, load_rig
+from paceline.cameras import Quantity
+from paceline.documents.loading import load_camera, load_clip, load_rig
 from paceline.documents.plausibility import check_quadrilateral
 from paceline.errors import UnusableInput
 
@@ -69,7 +70,8 @@ def test_a_clip_is_read_whole():
     assert (vehicle.id, vehicle.path, vehicle.frame, vehicle.plane, vehicle.speed) == ("v0", "lane0", 0, "front", None)
     np.testing.assert_array_equal(vehicle.right, RIGHT)
     np.testing.assert_array_equal(clip.rig.t, [-0.5, 0, 0])
-    assert clip.rig.uncertainty is None
+    assert clip.rig.uncertainty.is_assumed and clip.rig.left.readout is None
+    assert (clip.offset, clip.drawn_on) == (None, 0)
 
 
 def test_optional_keys():
@@ -137,6 +139,52 @@ def test_the_stated_uncertainty_is_read_and_numbers_may_have_plain_exponents():
     assert u.rotation_rad == (1e-4, 2e-4, 3e-4)
 
 
+def test_an_exact_rig_has_no_uncertainty():
+    assert load_rig_with("uncertainty", "exact").uncertainty is None
+
+
+@pytest.mark.parametrize(
+    ("keys", "readout"),
+    [
+        ({}, None),
+        ({"shutter": "rolling"}, None),
+        ({"shutter": "global"}, Quantity(0.0)),
+        ({"shutter": "global", "readout": 0}, Quantity(0.0)),
+        ({"shutter": "rolling", "readout": 0.018}, Quantity(0.018)),
+        ({"readout": -0.018}, Quantity(-0.018)),
+        ({"readout": {"value": 0.018, "std": 0.002}}, Quantity(0.018, 0.002)),
+    ],
+)
+def test_a_shutter_is_read(keys, readout):
+    camera = {**RIG["right"], **keys}
+    assert load_rig_with("right", camera).right.readout == readout
+    Path("camera.yaml").write_text(yaml.safe_dump(camera))
+    assert load_camera("camera.yaml").readout == readout
+
+
+@pytest.mark.parametrize(
+    ("keys", "offset"),
+    [
+        ({}, None),
+        ({"synchronised": False}, None),
+        ({"synchronised": True}, Quantity(0.0)),
+        ({"synchronised": True, "offset": 0}, Quantity(0.0)),
+        ({"offset": -0.008}, Quantity(-0.008)),
+        ({"synchronised": False, "offset": {"value": 0.008, "std": 5e-4}}, Quantity(0.008, 5e-4)),
+        ({"rate": None, "times": "times.csv"}, Quantity(0.0)),
+        ({"rate": None, "times": "times.csv", "synchronised": False}, Quantity(0.0)),
+        ({"rate": None, "times": "times.csv", "offset": 0.008}, Quantity(0.008)),
+    ],
+)
+def test_the_time_between_the_views_is_read(keys, offset):
+    clip = {key: value for key, value in {**CLIP, **keys}.items() if value is not None}
+    assert load_clip(write(clip)).offset == offset
+
+
+def test_the_frame_on_which_paths_are_drawn_is_read():
+    assert load_clip(write(changed(CLIP, "drawn_on", 7))).drawn_on == 7
+
+
 def test_a_vertical_rig_is_allowed():
     assert load_rig_with("translation", [0.1, -0.5, 0.0]).baseline == pytest.approx(np.hypot(0.1, 0.5))
 
@@ -175,6 +223,22 @@ def test_a_vertical_rig_is_allowed():
         ("translation", [0.5, 0], "rig.yaml: translation: expected three finite numbers, found [0.5, 0]"),
         ("translation", None, "rig.yaml: translation: missing"),
         ("uncertainty", {"rotation_rad": [-1, 0, 0]}, "rig.yaml: uncertainty.rotation_rad[0]: expected at least 0"),
+        ("uncertainty", "none", "rig.yaml: uncertainty: expected exact, or the keys focal_length_px, "
+                                "principal_point_px, rotation_rad, translation_m, covariance, found 'none'"),
+        ("uncertainty", True, "rig.yaml: uncertainty: expected the keys focal_length_px, "),
+        ("left.shutter", "electronic", "rig.yaml: left.shutter: expected 'global' or 'rolling', found 'electronic'"),
+        ("left.readout", 18, "rig.yaml: left.readout: expected at most 0.1 s from the first row to the last, found 18"),
+        ("left.readout", {"value": -0.2, "std": 0.0}, "rig.yaml: left.readout: expected at most 0.1 s from the first "
+                                                      "row to the last, found -0.2"),
+        ("right.readout", "18 ms", "rig.yaml: right.readout: expected a number or {value: …, std: …}, found '18 ms'"),
+        ("right.readout", float("nan"), "rig.yaml: right.readout: expected a number or {value: …, std: …}, found nan"),
+        ("right.readout", {"value": 0.018}, "rig.yaml: right.readout.std: missing"),
+        ("right.readout", {"value": 0.018, "std": -1}, "rig.yaml: right.readout.std: expected at least 0, found -1"),
+        ("right.readout", {"value": 0.018, "sdt": 1}, "rig.yaml: right.readout: unknown key 'sdt'; did you mean 'std'"),
+        ("right", {**RIG["right"], "shutter": "global", "readout": 0.018},
+         "rig.yaml: right.readout: shutter: global means exactly 0; expected one of them, found 0.018 as well"),
+        ("right", {**RIG["right"], "shutter": "global", "readout": {"value": 0, "std": 0.001}},
+         "rig.yaml: right.readout: shutter: global means exactly 0; expected one of them, found 0 ± 0.001 as well"),
     ],
 )  # fmt: skip
 def test_a_rig_that_cannot_be(key, value, message):
@@ -198,11 +262,16 @@ ORDER = "top-left, top-right, bottom-right, bottom-left as seen in the image"
         ("rate", "5", "rate: expected a number, found '5'"),
         ("times", "times.csv", "rate and times: expected one of them, found both"),
         ("ratte", 5, "unknown key 'ratte'; did you mean 'rate'?"),
-        ("zzz", 5, "unknown key 'zzz'; expected one of left, right, rate, times, time_tolerance, bit_depth, rig, "
-                   "site, paths, vehicles"),
+        ("zzz", 5, "unknown key 'zzz'; expected one of left, right, rate, times, time_tolerance, bit_depth, "
+                   "synchronised, offset, drawn_on, rig, site, paths, vehicles"),
         ("rig", None, "rig: missing"),
         ("bit_depth", 20, "bit_depth: expected at most 16, found 20"),
         ("time_tolerance", 0, "time_tolerance: expected a number above 0"),
+        ("synchronised", "yes", "synchronised: expected true or false, found 'yes'"),
+        ("offset", "8 ms", "offset: expected a number or {value: …, std: …}, found '8 ms'"),
+        ("offset", {"value": 0.008}, "offset.std: missing"),
+        ("drawn_on", -1, "drawn_on: expected at least 0, found -1"),
+        ("drawn_on", 1.5, "drawn_on: expected a whole number, found 1.5"),
         ("left", 3, "left: expected text, found 3"),
         ("paths", [1], "paths: expected names, each with its keys, found [1]"),
         ("paths.lane0.shape", "circle", "paths.lane0.shape: expected 'line' or 'curve', found 'circle'"),
@@ -252,6 +321,13 @@ ORDER = "top-left, top-right, bottom-right, bottom-left as seen in the image"
 )  # fmt: skip
 def test_a_clip_that_cannot_be(key, value, message):
     assert refusal(load_clip, write(changed(CLIP, key, value))).startswith(f"clip.yaml: {message}")
+
+
+@pytest.mark.parametrize(("offset", "found"), [(0.008, "0.008"), ({"value": 0, "std": 0.001}, "0 ± 0.001")])
+def test_synchronised_views_have_no_offset(offset, found):
+    clip = {**CLIP, "synchronised": True, "offset": offset}
+    expected = "clip.yaml: offset: synchronised: true means exactly 0; expected one of them, found"
+    assert refusal(load_clip, write(clip)) == f"{expected} {found} as well"
 
 
 def test_outlines_may_cover_somewhat_different_parts():

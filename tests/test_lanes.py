@@ -89,7 +89,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
             image = scenes[side] + rng.normal(0, 2.0, SIZE[::-1])
             image[250:420, 60 + 85 * k : 150 + 85 * k] = 30
             cv2.imwrite(str(folder / name / f"{k:03d}.png"), np.clip(np.rint(image), 0, 255).astype(np.uint8))
-    document = {"rotation": rig.R.tolist(), "translation": rig.t.tolist()}
+    document = {"rotation": rig.R.tolist(), "translation": rig.t.tolist(), "uncertainty": "exact"}
     for name in ("left", "right"):
         document[name] = {"image_size": list(SIZE), "K": rig.left.K.tolist()}  # type: ignore[assignment]
     (folder / "rig.yaml").write_text(yaml.safe_dump(document))

@@ -20,6 +20,7 @@ from scipy.stats import binom, chi2
 from selection import slow_after
 
 from paceline.cameras import RigUncertainty, perturbed_rig
+from paceline.documents.assumed_calibration import with_assumed_uncertainty
 from paceline.documents.loading import Clip, load_clip
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes.drawn import random_crossing, random_scene
@@ -868,9 +869,21 @@ def test_a_rig_error_far_beyond_its_uncertainty_is_rejected(rendered: Callable[[
         assert m.verdict == verdict and m.reason.startswith("calibration" if turn else "")
 
 
-def test_a_rig_without_uncertainty_gives_a_notice(plain: Callable[[int], Measurement]) -> None:
-    assert np.isnan(plain(0).systematic_std)
-    assert any("uncertainty" in notice for notice in plain(0).notices)
+def test_a_rig_that_states_no_uncertainty_is_assumed_to_have_an_ordinary_one(
+    rendered: Callable[[Scene], Path], plain: Callable[[int], Measurement]
+) -> None:
+    exact = plain(0)
+    assert np.isnan(exact.systematic_std)
+    assert not any("uncertainty" in notice for notice in exact.notices)
+    clip = load_clip(rendered(PLAIN[0]))
+    m = measure_clip(replace(clip, rig=with_assumed_uncertainty(clip.rig))).measurements[0]
+    assert 0 < m.systematic_std < 0.01 * m.speed and m.calibrated_by == 1
+    (notice,) = [notice for notice in m.notices if "uncertainty" in notice]
+    assert notice == (
+        "rig.yaml states no uncertainty: that of an ordinary, careful calibration is assumed; state its own, or "
+        "`uncertainty: exact`"
+    )
+    assert abs(m.speed - exact.speed) < m.speed_hi - m.speed
 
 
 # --- the path as a hard constraint -----------------------------------------------------------------------------------

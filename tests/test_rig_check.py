@@ -23,6 +23,7 @@ from paceline.calibration.rig_check import (
 )
 from paceline.calibration.scene_matches import TILE_PX, SceneMatches, match_scene
 from paceline.cameras import RigUncertainty, StereoRig, perturbed_rig
+from paceline.documents.assumed_calibration import with_assumed_uncertainty
 from paceline.documents.loading import load_clip_recording, load_rig
 from paceline.recordings.stereo import open_recording
 
@@ -104,6 +105,20 @@ def test_what_the_calibration_leaves_open_is_no_movement(rig: StereoRig) -> None
     )
     assert sure.moved
     assert not unsure.moved
+
+
+def test_without_stated_uncertainty_an_ordinary_one_counts(rig: StereoRig) -> None:
+    """KITTI's rectified cameras nod by 0.012° and roll by 0.02°: no movement, unless the file is exact."""
+    width = rig.left.image_size[0]
+    turn = np.array([0.15 / rig.right.K[1, 1], 0.0, 0.1 / (width / 4)])
+    true = rotated_rig(rig, turn)
+    exact, assumed = (check_rig(file, scene(true, 1)) for file in (rig, with_assumed_uncertainty(rig)))
+    assert exact.states_uncertainty and exact.moved
+    assert not assumed.states_uncertainty and not assumed.moved
+    better = correct_rotation(with_assumed_uncertainty(rig), assumed)
+    assert better.rig.uncertainty is not None and not better.rig.uncertainty.is_assumed
+    assert (better.scene_share[[0, 2]] > 0.5).all() and better.scene_share[1] < 0.5
+    assert (np.abs(better.rotation - turn)[[0, 2]] < 4 * better.std[[0, 2]]).all()
 
 
 def test_correcting_an_unmoved_rig_changes_it_within_its_uncertainty(rig: StereoRig) -> None:

@@ -147,7 +147,7 @@ class RigUncertainty:
     ``focal_length_px`` and ``principal_point_px`` hold for each axis of each camera independently;
     ``rotation_rad`` and ``translation_m`` are about and along the right camera's x, y, z. ``covariance`` (14, 14),
     where there is one, counts in their place: of the left fx, fy, cx, cy, the right ones, rotation, translation.
-    ``is_assumed``: rig.yaml states none, and that of an ordinary careful calibration is assumed.
+    ``is_assumed``: rig.yaml states none, and that of an ordinary, careful calibration is assumed.
     """
 
     focal_length_px: float = 0.0
@@ -172,7 +172,10 @@ class RigUncertainty:
 
 @dataclass(frozen=True, eq=False)
 class StereoRig:
-    """Two cameras, rotation ``R`` (3, 3) and translation ``t`` (3,) in metres: ``X_right = R X_left + t``."""
+    """Two cameras, rotation ``R`` (3, 3) and translation ``t`` (3,) in metres: ``X_right = R X_left + t``.
+
+    Without ``uncertainty`` the calibration is exact.
+    """
 
     left: Camera
     right: Camera

@@ -262,7 +262,8 @@ _NOTHING_FOUND_ROWS = {
 
 _WARNING_ROWS = {
     "rig_uncertainty_missing": (
-        "{rig} states no uncertainty: {consequence}",
+        "{rig} states no uncertainty: that of an ordinary, careful calibration is assumed; state its own, or "
+        "`uncertainty: exact`",
         "State `uncertainty` in rig.yaml; `paceline calibrate` writes it.",
     ),
     "path_undetermined": (

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ import yaml
 from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.documents import plausibility
+from paceline.documents.assumed_calibration import with_assumed_uncertainty
 from paceline.errors import UnusableInput
 
 Size = tuple[int, int]
@@ -87,7 +88,7 @@ def import_rig(files: Sequence[Path], options: ImportOptions) -> tuple[StereoRig
         if complaint:
             hint = "; --translation-unit mm states that" if "millimetres" in complaint else ""
             raise UnusableInput(f"{first}: {complaint}{hint}")
-    return StereoRig(rig.left, rig.right, plausibility.nearest_rotation(rig.R), rig.t), kind
+    return with_assumed_uncertainty(replace(rig, R=plausibility.nearest_rotation(rig.R))), kind
 
 
 # --- OpenCV --------------------------------------------------------------------------------------------------------

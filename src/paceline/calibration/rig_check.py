@@ -17,7 +17,12 @@ from scipy.stats import f as f_distribution
 from paceline.arrays import Array, Mask
 from paceline.blas import on_one_blas_thread
 from paceline.calibration.scene_matches import SceneMatches
-from paceline.calibration.speed_sensitivity import SpeedEffect, speed_effects, stated_uncertainty
+from paceline.calibration.speed_sensitivity import (
+    SpeedEffect,
+    principal_points_as_turns,
+    speed_effects,
+    stated_uncertainty,
+)
 from paceline.cameras import RigUncertainty, StereoRig, perturbed_rig
 from paceline.geometry import epipolar_distance
 
@@ -43,7 +48,8 @@ class RigCheck:
     estimate, ``rig_covariance`` (3, 3) the part that the calibration's own uncertainty explains. ``p_value`` is the
     probability of so large a rotation in a rig that has not moved. ``residual_px`` is the standard deviation of the
     matches from their epipolar lines after the rotation is corrected, ``rotation_error_px`` the root mean square that
-    the rotation causes. ``response`` (3, 14) is ∂rotation/∂(parameters of the rig).
+    the rotation causes. ``response`` (3, 14) is ∂rotation/∂(parameters of the rig). ``states_uncertainty``: whether
+    rig.yaml states the calibration's uncertainty, or that there is none.
     """
 
     matches: int
@@ -117,7 +123,7 @@ def check_rig(rig: StereoRig, matches: SceneMatches) -> RigCheck:
         p_value=p_value,
         residual_px=residual_px,
         rotation_error_px=float(np.sqrt(((J @ rotation) ** 2).mean())),
-        states_uncertainty=rig.uncertainty is not None,
+        states_uncertainty=not uncertainty.is_assumed,
     )
 
 
@@ -128,11 +134,11 @@ def correct_rotation(rig: StereoRig, check: RigCheck) -> RotationCorrection:
     The prior is the rig's calibration. Where the rig has moved, the prior of the rotation is widened: a knock rotates a
     camera about every axis alike, so the rotation about the well observed axes (x, z) estimates the possible one about
     y. Only the rotation is corrected; the uncertainty of the other parameters is kept (consider filter: S. F. Schmidt,
-    1966).
+    1966). Principal points that are off count as rotations: a rotation that makes up for them is no error.
     """
-    U = (rig.uncertainty or RigUncertainty()).covariance_root
+    U = (rig.uncertainty or RigUncertainty()).covariance_root @ principal_points_as_turns(rig).T
     prior = U.T @ U
-    if check.moved or not check.states_uncertainty:
+    if check.moved or rig.uncertainty is None:
         knock = check.rotation**2 - (np.diag(check.scene_covariance + check.rig_covariance) if check.moved else 0.0)
         prior[8:11, 8:11] += max(float(knock[[0, 2]].max()), ROTATION_STEP_RAD**2) * np.eye(3)
     G = check.response

@@ -37,7 +37,7 @@ class SpeedEffect:
 
 
 def speed_effects(rig: StereoRig, distances: Sequence[float] = DISTANCES_M) -> list[SpeedEffect]:
-    """The effect of the stated uncertainty of ``rig`` on speeds in the middle of the image, with the pixels held fixed:
+    """The effect of the uncertainty of ``rig`` on speeds in the middle of the image, with the pixels held fixed:
     before any vehicle's images correct part of it."""
     assert rig.uncertainty is not None
     moves = perturbed_rigs(rig, rig.uncertainty)
@@ -109,11 +109,8 @@ def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
     focal length is given what is then still lacking, up to its own uncertainty, and all are enlarged together where no
     speed would otherwise be as unsure as by the covariance.
     """
-    shift_jacobian = np.hstack([np.zeros((6, 8)), np.eye(6)])
-    for first, camera, sign in ((2, rig.left, -1.0), (6, rig.right, 1.0)):
-        shift_jacobian[1, first] = sign / camera.K[0, 0]  # the right camera: ray and pixel shift alike
-        shift_jacobian[0, first + 1] = -sign / camera.K[1, 1]
-    std = np.sqrt(np.diag(shift_jacobian @ covariance @ shift_jacobian.T))
+    F = principal_points_as_turns(rig)
+    std = np.sqrt(np.diag(F @ covariance @ F.T))[8:]
     turn, shift = _triple(std[:3]), _triple(std[3:])
     displacements = [
         displacement
@@ -137,6 +134,16 @@ def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
     length = float(np.sqrt(min(known, (missing_variance / focal).max())))
     larger = float(np.sqrt(max(1.0, (total / variances(RigUncertainty(length, 0.0, turn, shift))).max())))
     return RigUncertainty(larger * length, 0.0, _triple(larger * std[:3]), _triple(larger * std[3:]), covariance)
+
+
+def principal_points_as_turns(rig: StereoRig) -> Array:
+    """F (14, 14), by which changes of the parameters become nearly equal ones that leave the principal points: a shift of
+    one becomes the turn of its camera that it resembles."""
+    F = np.diag([1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, *np.ones(6)])
+    for first, camera, sign in ((2, rig.left, -1.0), (6, rig.right, 1.0)):
+        F[9, first] = sign / camera.K[0, 0]  # the right camera: ray and pixel shift alike
+        F[8, first + 1] = -sign / camera.K[1, 1]
+    return F
 
 
 def _triple(values: Array) -> tuple[float, float, float]:

@@ -69,7 +69,8 @@ def rig_import(
     imported, kind = import_rig(files, ImportOptions(_size(size), METRES_PER_UNIT[unit], _pair(cameras), rectified))
     comments = [
         f"from {kind}: {', '.join(f.name for f in files)}",
-        "it states no uncertainty: see uncertainty in docs/files.md",
+        "it states no uncertainty, so that of an ordinary, careful calibration is assumed:",
+        "see uncertainty in docs/files.md",
     ]
     write_all_or_none({out: rig_yaml(imported, comments).encode()})
     width, height = imported.left.image_size
@@ -77,9 +78,7 @@ def rig_import(
         f"{kind}: {width} × {height} pixels, focal length {imported.left.K[0, 0]:.1f} px, "
         f"cameras {imported.baseline:.4f} m apart; {out}"
     )
-    consequence = "speeds will have no systematic part; add it if you know it"
-    notice = message("rig_uncertainty_missing", rig=out, consequence=consequence)
-    print(f"note: {notice}", file=sys.stderr)
+    print(f"note: {message('rig_uncertainty_missing', rig=out)}", file=sys.stderr)
     return EXIT_DONE
 
 
@@ -125,6 +124,8 @@ def rig_check(
     if out is not None:
         corrected = correct_rotation(document.rig, check)
         comments = [f"rotation refined by {check.matches} points of the scene in {clip.name}"]
+        if not check.states_uncertainty:
+            comments.append("the uncertainty before that is assumed: that of an ordinary, careful calibration")
         write_all_or_none({out: rig_yaml(corrected.rig, comments).encode()})
         _print_refinement(corrected, out)
         return EXIT_DONE
@@ -149,9 +150,7 @@ def _print_check(check: RigCheck, frames: int) -> None:
     )
     print(f"verdict  {verdict(check)}")
     if not check.states_uncertainty:
-        consequence = "every difference counts as a movement"
-        notice = message("rig_uncertainty_missing", rig="the rig", consequence=consequence)
-        print(f"note: {notice}", file=sys.stderr)
+        print(f"note: {message('rig_uncertainty_missing', rig='the rig')}", file=sys.stderr)
 
 
 def verdict(check: RigCheck) -> str:

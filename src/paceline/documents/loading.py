@@ -16,11 +16,14 @@ import numpy as np
 from paceline.arrays import Array, Indices
 from paceline.cameras import Camera, Quantity, RigUncertainty, StereoRig
 from paceline.documents import plausibility
+from paceline.documents.assumed_calibration import with_assumed_uncertainty
 from paceline.documents.models import (
     CameraModel,
     ClipModel,
+    ExactModel,
     FollowModel,
     PathModel,
+    QuantityModel,
     RigModel,
     SiteModel,
     TargetModel,
@@ -30,6 +33,8 @@ from paceline.documents.models import (
     suggestion,
 )
 from paceline.errors import UnusableInput
+
+EXACTLY_ZERO = Quantity(0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +121,11 @@ def load_rig(path: str | Path) -> StereoRig:
     left, right = _camera(path, "left.", model.left), _camera(path, "right.", model.right)
     _refuse(path, "rotation", plausibility.check_rotation(model.rotation))
     R = plausibility.nearest_rotation(model.rotation)
-    rig = StereoRig(left, right, R, model.translation, _uncertainty(model.uncertainty))
+    rig = StereoRig(left, right, R, model.translation)
     _refuse(path, "translation", plausibility.check_baseline(rig))
-    return rig
+    if model.uncertainty is None:
+        return with_assumed_uncertainty(rig)
+    return replace(rig, uncertainty=_uncertainty(model.uncertainty))
 
 
 def load_clip(path: str | Path) -> Clip:
@@ -183,7 +190,19 @@ def _recording(path: Path, model: ClipModel, rig: Path) -> Clip:
         paths={},
         vehicles=[],
         addresses=(_address(path, model.left), _address(path, model.right)),
+        offset=_offset(path, model),
+        drawn_on=model.drawn_on,
     )
+
+
+def _offset(path: Path, model: ClipModel) -> Quantity | None:
+    """What to add to the right view's times, s; None where no key tells it."""
+    stated = _quantity(model.offset)
+    if model.synchronised and stated not in (None, EXACTLY_ZERO):
+        _refuse(path, "offset", f"synchronised: true means exactly 0; {_found(stated)}")
+    if stated is None and (model.synchronised or model.times is not None):
+        return EXACTLY_ZERO
+    return stated
 
 
 def _address(path: Path, video: str) -> str:
@@ -239,13 +258,27 @@ def load_follow(path: str | Path) -> FollowClip:
 
 
 def _camera(file: Path, prefix: str, m: CameraModel) -> Camera:
-    camera = Camera((m.image_size[0], m.image_size[1]), m.K, np.array(m.distortion, float))
+    readout = _quantity(m.readout)
+    if m.shutter == "global":
+        if readout not in (None, EXACTLY_ZERO):
+            _refuse(file, f"{prefix}readout", f"shutter: global means exactly 0; {_found(readout)}")
+        readout = EXACTLY_ZERO
+    camera = Camera((m.image_size[0], m.image_size[1]), m.K, np.array(m.distortion, float), readout)
     _refuse(file, f"{prefix}K", plausibility.check_intrinsics(camera))
     return camera
 
 
-def _uncertainty(u: UncertaintyModel | None) -> RigUncertainty | None:
-    if u is None:
+def _quantity(m: QuantityModel | None) -> Quantity | None:
+    return None if m is None else Quantity(m.value, m.std)
+
+
+def _found(quantity: Quantity) -> str:
+    spread = f" ± {quantity.std:g}" if quantity.std else ""
+    return f"expected one of them, found {quantity.value:g}{spread} as well"
+
+
+def _uncertainty(u: UncertaintyModel) -> RigUncertainty | None:
+    if isinstance(u, ExactModel):
         return None
     (a, b, c), (x, y, z) = u.rotation_rad, u.translation_m
     return RigUncertainty(u.focal_length_px, u.principal_point_px, (a, b, c), (x, y, z), u.covariance)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -18,6 +18,7 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
+    WrapValidator,
     model_validator,
 )
 from pydantic.fields import FieldInfo
@@ -28,6 +29,7 @@ from paceline.errors import UnusableInput
 MAX_DOCUMENT_NAME_LENGTH = 100
 MAX_NUMBER = 1e9  # upper limit of every pixel and metre in these files; excludes NaN and infinity as well
 MAX_DOCUMENT_VALUES = 1_000_000  # values in one document; more is a mistake or an attack on the memory
+MAX_READOUT_S = 0.1  # greatest time from the first row's exposure to the last one's; ordinary cameras take up to 0.03
 RIG_PARAMETERS = 14  # fx, fy, cx, cy of each camera, rotation, translation
 _NUMBER_WORDS = {2: "two", 3: "three", 4: "four"}
 
@@ -78,6 +80,32 @@ def _covariance(value: Any) -> Any:
     if np.linalg.eigvalsh(correlation).min() < -1e-6:
         raise ValueError("is no covariance: it gives some change of the rig a negative variance")
     return C
+
+
+def _quantity(value: Any) -> Any:
+    """A number is exact as stated."""
+    if isinstance(value, dict | QuantityModel):
+        return value
+    if not _is_number(value):
+        raise ValueError(f"expected a number or {{value: …, std: …}}, found {_excerpt(value)}")
+    return {"value": value, "std": 0.0}
+
+
+def _is_readout(quantity: QuantityModel) -> QuantityModel:
+    if abs(quantity.value) > MAX_READOUT_S:
+        raise ValueError(
+            f"expected at most {MAX_READOUT_S:g} s from the first row to the last, found {quantity.value:g}"
+        )
+    return quantity
+
+
+def _exact_or_keys(value: Any, model: Callable[[Any], UncertaintyModel]) -> UncertaintyModel:
+    """The word ``exact``, or the keys of the ``model``."""
+    if not isinstance(value, str):
+        return model(value)
+    if value != "exact":
+        raise ValueError(f"expected exact, or the keys {', '.join(UncertaintyModel.model_fields)}, found {value!r}")
+    return ExactModel()
 
 
 def _name(value: Any) -> Any:
@@ -143,10 +171,21 @@ class Document(KnownKeys):
     model_config = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
+class QuantityModel(Document):
+    value: float
+    std: Sigma
+
+
+Stated = Annotated[QuantityModel, BeforeValidator(_quantity)]
+Readout = Annotated[Stated, AfterValidator(_is_readout)]
+
+
 class CameraModel(Document):
     image_size: Annotated[list[Size], Field(min_length=2, max_length=2)]
     K: Matrix
     distortion: list[float] = []
+    shutter: Literal["global", "rolling"] | None = None
+    readout: Readout | None = None
 
     @model_validator(mode="after")
     def _count_coefficients(self) -> CameraModel:
@@ -163,12 +202,16 @@ class UncertaintyModel(Document):
     covariance: Covariance | None = None
 
 
+class ExactModel(UncertaintyModel):
+    """``uncertainty: exact``"""
+
+
 class RigModel(Document):
     left: CameraModel
     right: CameraModel
     rotation: Matrix
     translation: Vector
-    uncertainty: UncertaintyModel | None = None
+    uncertainty: Annotated[UncertaintyModel, WrapValidator(_exact_or_keys)] | None = None
 
 
 class PathModel(Document):
@@ -196,6 +239,9 @@ class ClipModel(Document):
     times: str | None = None
     time_tolerance: Annotated[float, Field(gt=0)] | None = None
     bit_depth: Bits | None = None
+    synchronised: bool | None = None
+    offset: Stated | None = None
+    drawn_on: Annotated[int, Field(ge=0)] = 0
     rig: str | None = None
     site: Text | None = None
     paths: dict[Name, PathModel] | None = None

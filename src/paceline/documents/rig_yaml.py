@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from paceline.arrays import Array
-from paceline.cameras import Camera, RigUncertainty, StereoRig
+from paceline.cameras import Camera, Quantity, RigUncertainty, StereoRig
 
 
 def rig_yaml(rig: StereoRig, comments: Sequence[str] = ()) -> str:
-    """``rig`` as rig.yaml, with its uncertainty where it states one, and ``comments`` at the top."""
+    """``rig`` as rig.yaml, with ``comments`` at the top; what is only assumed of it is left out."""
     lines = [f"# {comment}" for comment in comments]
     for side, camera in (("left", rig.left), ("right", rig.right)):
         lines += [f"{side}:", *_camera(camera)]
     lines += ["rotation:", *(f"  - {_row(row, 12)}" for row in rig.R), f"translation: {_row(rig.t, 9)}"]
-    if rig.uncertainty:
+    if rig.uncertainty is None:
+        lines.append("uncertainty: exact")
+    elif not rig.uncertainty.is_assumed:
         lines += ["uncertainty:", *_uncertainty(rig.uncertainty)]
     return "\n".join(lines) + "\n"
 
@@ -22,7 +24,18 @@ def rig_yaml(rig: StereoRig, comments: Sequence[str] = ()) -> str:
 def _camera(camera: Camera) -> list[str]:
     width, height = camera.image_size
     lines = [f"  image_size: [{width}, {height}]", "  K:", *(f"    - {_row(row, 10)}" for row in camera.K)]
-    return [*lines, f"  distortion: {_row(camera.distortion, 9)}"] if camera.has_distortion else lines
+    if camera.has_distortion:
+        lines.append(f"  distortion: {_row(camera.distortion, 9)}")
+    return lines + _readout(camera.readout)
+
+
+def _readout(readout: Quantity | None) -> list[str]:
+    if readout is None or readout.source == "assumed":
+        return []
+    value, std = _number(readout.value, 9), _number(readout.std, 4)
+    if readout.std:
+        return [f"  readout: {{value: {value}, std: {std}}}"]
+    return [f"  readout: {value}"] if readout.value else ["  shutter: global"]
 
 
 def _uncertainty(u: RigUncertainty) -> list[str]:

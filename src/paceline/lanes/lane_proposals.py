@@ -132,7 +132,7 @@ def _known_stretch(road: RoadModel, k: int, first: float, last: float) -> tuple[
 
 def _width(rig: StereoRig, road: RoadModel, k: int, s: Array) -> tuple[float, float]:
     """Mean width (m) between lines k and k + 1 over ``s`` (N,), weighted by how well it is known where, and its
-    standard deviation, the stated calibration's part included."""
+    standard deviation, the calibration's part included."""
     own_terms = np.r_[0:6, 6 + CURVE_TERMS * k : 6 + CURVE_TERMS * (k + 2)]
 
     def sides(x: Array) -> tuple[Array, Array]:

@@ -69,8 +69,9 @@ class Measurement:
     """The result for one vehicle: its mean speed over the frames measured (m/s), the interval and the verdict.
 
     ``random_std`` is the vehicle's own standard uncertainty. ``systematic_std`` comes from the calibration, as far as
-    images did not correct it, and is common to all vehicles that are calibrated jointly (NaN where rig.yaml states no
-    uncertainty). The 95 % interval holds both. Speeds are NaN where nothing could be estimated.
+    images did not correct it, and is common to all vehicles that are calibrated jointly (NaN where it is
+    exact, and where its effect is not computed). The 95 % interval holds both. Speeds are NaN where nothing could be
+    estimated.
     """
 
     vehicle: str

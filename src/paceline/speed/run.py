@@ -262,9 +262,8 @@ class VehicleMeasurement:
 
     def _notices(self, refined: RefinedMotion) -> list[str]:
         notices: list[str] = []
-        if np.isnan(refined.systematic_covariance).any():
-            consequence = "the interval holds no systematic part"
-            notices.append(message("rig_uncertainty_missing", rig="rig.yaml", consequence=consequence))
+        if self.rig.uncertainty is not None and self.rig.uncertainty.is_assumed:
+            notices.append(message("rig_uncertainty_missing", rig="rig.yaml"))
         if self._is_off_path:
             notices.append(message("path_not_followed", path=self.vehicle.path))
         hidden = sum(e.similarity < MIN_REFERENCE_SIMILARITY for e in self.estimates)

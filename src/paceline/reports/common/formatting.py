@@ -27,7 +27,7 @@ class SpeedText:
     hi: str
     plus_minus: str
     random: str
-    systematic: str  # NO_VALUE where the rig states no uncertainty
+    systematic: str  # NO_VALUE where there is no such part, as where the calibration is exact
 
     @property
     def known(self) -> bool:

@@ -23,6 +23,7 @@ from paceline.reports.common.plots import Plot
 from paceline.reports.speed.overlay import StereoStill
 from paceline.speed.results import ClipResult, Measurement
 from paceline.units import convert
+from paceline.verdicts import Message
 
 
 def write_page(
@@ -44,6 +45,7 @@ def write_page(
             "m": m,
             "text": (text := format_speed(m, unit)),
             "headline": _headline(m, text),
+            "assumed": _is_calibration_assumed(m),
             "color": colors[m.vehicle],
             "advice": rejected_advice(m.reason_code),
             "facts": _facts(m, unit),
@@ -74,6 +76,11 @@ def _headline(measurement: Measurement, text: SpeedText) -> str:
     if measurement.verdict != "measured":
         return f"Rejected: {measurement.reason}"
     return f"{text.speed} {text.unit}, 95 % interval {text.lo} to {text.hi} {text.unit}"
+
+
+def _is_calibration_assumed(measurement: Measurement) -> bool:
+    """Whether the uncertainty of the calibration is assumed, as rig.yaml states none."""
+    return any(isinstance(n, Message) and n.code == "rig_uncertainty_missing" for n in measurement.notices)
 
 
 def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:

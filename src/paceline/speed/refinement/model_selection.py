@@ -25,8 +25,8 @@ class RefinedMotion:
     calibration is as uncertain as rig.yaml states.
 
     Three covariances (n, n) of ``theta`` (n,) add up: ``covariance`` from the images, ``model_covariance`` from the
-    choice among motion models, ``systematic_covariance`` from what remains unknown of the calibration (NaN where the
-    rig states no uncertainty).
+    choice among motion models, ``systematic_covariance`` from what remains unknown of the calibration (NaN where it is
+    exact).
 
     ``residual_rms`` is the median RMS residual of a patch and ``contrast`` the RMS of the texture, both grey levels.
     ``offsets`` (F, 2, 2) px are between each view's image and where the motion puts it; ``explained_share`` (F, 2) is

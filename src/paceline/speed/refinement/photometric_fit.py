@@ -6,9 +6,9 @@ not fit (glare, a pole) are down-weighted. The camera's gamma is estimated with 
 view-dependent appearance is added. The division into patches is arbitrary but changes the speed by as much as noise
 does, so the result is the mean over several patch grids.
 
-Where rig.yaml states the uncertainty of the calibration, the rig is estimated together with the motion, with that
-uncertainty as its prior. The images contribute to it, because the growth of the vehicle in the image determines the
-ratio of its depths, and therefore the ratio of its disparities.
+Unless the calibration is exact, the rig is estimated together with the motion, with the calibration's uncertainty, as
+rig.yaml states it or as it is assumed, for its prior. The images contribute to it, because the growth of the vehicle in
+the image determines the ratio of its depths, and therefore the ratio of its disparities.
 """
 
 from __future__ import annotations
@@ -136,8 +136,8 @@ class PhotometricFit:
         return other
 
     def with_free_rig(self) -> PhotometricFit:
-        """The same model fitted with the rig free under its prior, starting from this fit; this fit itself where
-        rig.yaml states no uncertainty."""
+        """The same model fitted with the cameras free under their prior, starting from this fit; this fit itself
+        where the calibration is exact and so are the exposures."""
         directions, exposures = rig_directions(self.trajectory), len(self.trajectory.timing.modes)
         if not len(directions) + exposures:
             return self
@@ -467,7 +467,7 @@ class PhotometricFit:
     @property
     def systematic_covariance(self) -> Array:
         """Covariance (n, n) of all parameters by that part of the calibration's uncertainty that the images do not
-        remove; NaN where rig.yaml states none."""
+        remove; NaN where it is exact."""
         n, p = len(self.theta), self.prior.free
         if self.trajectory.rig.uncertainty is None and not len(self.rig_offset):
             return np.full((n, n), np.nan)
