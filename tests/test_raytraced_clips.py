@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tiny_scenes import tiny_follow, tiny_speed
 
+from paceline.cameras import Quantity
 from paceline.documents.loading import load_clip, load_follow, load_rig
 from paceline.errors import UnusableInput
 from paceline.progress import Progress
@@ -50,6 +51,7 @@ def test_a_clip_is_one_that_paceline_reads(written: Path) -> None:
     for side in ("left", "right"):
         assert getattr(clip.vehicles[0], side) == pytest.approx(np.array(first[side]), abs=4 * 0.5)
     assert clip.paths["lane0"].lateral_offset in (-1.8, 1.8)
+    assert (clip.offset, clip.rig.left.readout, clip.rig.uncertainty) == (Quantity(0.0), Quantity(0.0), None)
 
 
 def test_truth_is_consistent(written: Path) -> None:
@@ -152,6 +154,15 @@ def test_dropped_frames_and_skew_are_in_the_times(tmp_path: Path) -> None:
     assert clip.vehicles[0].left == pytest.approx(np.array(first["left"]), abs=4 * 0.5)
     assert [v.id for v in clip.vehicles] == ["v0"]
     assert {row["vehicle"] for row in truth} == {"v0", "near"}
+    assert clip.offset == Quantity(0.0) and "synchronised" not in (folder / "clip.yaml").read_text()
+
+
+def test_a_clip_may_state_nothing_about_its_cameras(tmp_path: Path) -> None:
+    clip = load_clip(
+        stereo_clip.write(speed(frames=2), tmp_path / "clip", variant=PORTABLE_VARIANT, states_cameras=False)
+    )
+    assert (clip.offset, clip.rig.left.readout, clip.rig.right.readout) == (None, None, None)
+    assert clip.rig.uncertainty is not None and clip.rig.uncertainty.is_assumed
 
 
 def test_a_chase_is_one_that_paceline_reads(tmp_path: Path) -> None:
@@ -167,6 +178,7 @@ def test_a_chase_is_one_that_paceline_reads(tmp_path: Path) -> None:
     assert document.center == pytest.approx(truth[0]["center"], abs=4 * 0.4 + 0.05)
     assert document.scale == pytest.approx(10 / truth[0]["position"][2], rel=5 * 0.008)
     assert document.odometry is not None
+    assert document.camera.readout == Quantity(0.0)
     odometry = read_odometry(document.odometry)
     assert odometry.pose[1] == pytest.approx([truth[1]["chase"][k] for k in ("x_m", "y_m", "heading_rad")], abs=1e-5)
     again = chase_clip.write(scene, tmp_path / "again", variant=PORTABLE_VARIANT).parent

@@ -13,6 +13,7 @@ import yaml
 from selection import slow_after
 from tiny_scenes import tiny_follow, tiny_speed
 
+from paceline.cameras import Quantity
 from paceline.errors import UnusableInput
 from paceline.simulation.operator import MIN_OUTLINE_WIDTH_PX, is_inside_image, visible_marking
 from paceline.simulation.random_scenes.raytraced import (
@@ -172,7 +173,8 @@ def test_wheels_roll_without_slipping() -> None:
 
 def test_the_written_rig_is_the_true_one_by_default() -> None:
     true, same = make_rigs(SpeedScene.model_validate(tiny_speed()))
-    assert same is true
+    assert same is true and true.uncertainty is None
+    assert [camera.readout for camera in true.cameras] == [Quantity(0.0)] * 2
     written = {"focal_length_px": 2.0, "rotation_rad": [1e-4, 1e-4, 1e-4], "translation_m": [1e-3, 1e-3, 1e-3]}
     rig = tiny_speed()["rig"] | {"rig_error_std": written}
     deviations = []
@@ -185,6 +187,13 @@ def test_the_written_rig_is_the_true_one_by_default() -> None:
     n = 7 * 400
     assert np.std(deviations) == pytest.approx(1.0, abs=4 / np.sqrt(2 * n))
     assert abs(np.mean(deviations)) < 4 / np.sqrt(n)
+
+
+def test_the_written_rig_states_only_what_is_true() -> None:
+    rig = tiny_speed()["rig"] | {"rig_error_std": {"focal_length_px": 2.0}, "states_uncertainty": False}
+    true, other = make_rigs(SpeedScene.model_validate(tiny_speed(rig=rig, sensor={"readout": 0.02, "bands": 4})))
+    assert other.uncertainty is not None and other.uncertainty.is_assumed
+    assert [camera.readout for camera in (*true.cameras, *other.cameras)] == [None] * 4
 
 
 def test_rows_read_late_show_vehicles_later() -> None:

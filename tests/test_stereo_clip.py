@@ -12,6 +12,8 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
+from paceline.cameras import Quantity
+from paceline.documents.loading import load_clip
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes.drawn import random_bend, random_crossing, random_scene
 from paceline.simulation.stereo.clip import SCENE_SUBPIXELS_PER_SIDE, Scene, Vehicle, World, render, write
@@ -166,7 +168,7 @@ def test_a_written_clip_reads_back(tmp_path: Path) -> None:
     rendered = render(replace(CURVE, dropped=(2,)))
     clip = yaml.safe_load(write(rendered, tmp_path).read_text())
     assert clip == rendered.clip
-    assert list(clip) == ["left", "right", "times", "rig", "paths", "vehicles"]
+    assert list(clip) == ["left", "right", "times", "synchronised", "rig", "paths", "vehicles"]
     assert set(clip["paths"]["lane0"]) == {"shape", "left", "right", "lateral_offset"}
     assert clip["paths"]["lane0"]["shape"] == "curve"
     rig = yaml.safe_load((tmp_path / "rig.yaml").read_text())
@@ -212,3 +214,15 @@ def test_scenes_without_a_clip_are_refused() -> None:
         World(replace(SMALL, road_offset=300.0))
     with pytest.raises(ValueError, match="v0 does not move forward"):
         World(replace(SMALL, vehicles=(replace(CAR, acceleration=-30.0),)))
+
+
+def test_files_state_that_the_cameras_are_ideal_unless_asked_not_to(tmp_path: Path) -> None:
+    scene = replace(SMALL, frames=2)
+    ideal = load_clip(write(render(scene), tmp_path / "ideal"))
+    assert (ideal.offset, ideal.rig.left.readout, ideal.rig.right.readout) == (Quantity(0.0),) * 3
+    assert ideal.rig.uncertainty is None
+    silent = load_clip(write(render(scene), tmp_path / "silent", states_cameras=False))
+    assert (silent.offset, silent.rig.left.readout, silent.rig.right.readout) == (None,) * 3
+    assert silent.rig.uncertainty is not None and silent.rig.uncertainty.is_assumed
+    skewed = write(render(replace(scene, skew_s=0.004)), tmp_path / "skewed")
+    assert "synchronised" not in yaml.safe_load(skewed.read_text())

@@ -13,7 +13,7 @@ SIZE = (256, 242)
 F, CX, CY = 300.0, 127.5, 120.5
 NOMINAL = 10.0
 FINE = 8  # edges lie on eighths of a pixel
-CAMERA = {"image_size": list(SIZE), "K": [[F, 0.0, CX], [0.0, F, CY], [0.0, 0.0, 1.0]]}
+CAMERA = {"image_size": list(SIZE), "K": [[F, 0.0, CX], [0.0, F, CY], [0.0, 0.0, 1.0]], "shutter": "global"}
 BOXES = {  # left, top, right, bottom in metres, and grey level
     "body": (-1.0, -0.75, 1.0, 0.75, 190),
     "glass": (-0.72, -0.5, 0.72, 0.0, 40),

@@ -79,6 +79,8 @@ def clip_document(placed: SimulatedStereoScene, truth: list[dict[str, Any]], hid
     clip: dict[str, Any] = {side: f"{side}.mp4" if video else side for side in ("left", "right")}
     if not video:
         clip |= {"times": "times.csv"} if scene.dropped or scene.skew else {"rate": scene.rate}
+    if not scene.skew:
+        clip["synchronised"] = True
     clip["rig"] = "rig.yaml"
     lanes: dict[tuple[int, bool], str] = {}
     measured = [car for car in placed.vehicles if car.model.measured]

@@ -81,7 +81,7 @@ def truth_of(scene: ChaseScene, frame: int, m: WorldState, visible: float) -> Ch
 
 def camera_document(scene: ChaseScene) -> dict[str, Any]:
     """The contents of camera.yaml."""
-    return {"image_size": list(scene.image_size), "K": scene.camera.K.tolist()}
+    return {"image_size": list(scene.image_size), "K": scene.camera.K.tolist(), "shutter": "global"}
 
 
 def target_document(scene: ChaseScene) -> dict[str, Any]:

@@ -201,6 +201,7 @@ def _with_long_road(scene: FollowScene) -> FollowScene:
 
 def _write_documents(chase: PlacedChaseScene, rows: list[dict[str, Any]], directory: Path, as_video: bool) -> None:
     camera = {"image_size": list(chase.camera.image_size), "K": chase.camera.K.tolist()}
+    camera |= {} if chase.scene.sensor.readout else {"shutter": "global"}
     follow: dict[str, Any] = {"video": "frames.mp4"} if as_video else {"video": "frames", "rate": chase.scene.rate}
     follow |= {"camera": "camera.yaml", "target": "target.yaml", "start": chase.start_document(rows[0])}
     documents = {

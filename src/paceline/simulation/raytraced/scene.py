@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 
 from paceline.arrays import Array
-from paceline.cameras import Camera, PosedCamera, RigUncertainty, StereoRig
+from paceline.cameras import Camera, PosedCamera, Quantity, RigUncertainty, StereoRig
+from paceline.documents.assumed_calibration import with_assumed_uncertainty
 from paceline.errors import UnusableInput
 from paceline.simulation.operator import is_inside_image
 from paceline.simulation.raytraced import road_surface
@@ -238,7 +239,8 @@ def make_rigs(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
     def camera() -> Camera:
         fx = rig.focal * (1 + rng.normal(0, 0.002))
         cx, cy = ((n - 1) / 2 + rng.normal(0, 4) for n in size)
-        return Camera(size, np.array([[fx, 0, cx], [0, fx, cy], [0, 0, 1.0]]), np.array(rig.distortion, float))
+        K = np.array([[fx, 0, cx], [0, fx, cy], [0, 0, 1.0]])
+        return Camera(size, K, np.array(rig.distortion, float), None if scene.sensor.readout else Quantity(0.0))
 
     left, right = camera(), camera()
     distance = np.hypot(rig.target.along - rig.eye.along, rig.target.right - rig.eye.right)
@@ -247,7 +249,7 @@ def make_rigs(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
     t = -R @ np.array([rig.baseline, *rng.normal(0, 0.004, 2)])
     true = StereoRig(left, right, R, t)
     if rig.rig_error_std is None:
-        return true, true
+        return true, true if rig.states_uncertainty else with_assumed_uncertainty(true)
     w = rig.rig_error_std
     stated = RigUncertainty(
         w.focal_length_px,
@@ -258,11 +260,12 @@ def make_rigs(scene: SpeedScene) -> tuple[StereoRig, StereoRig]:
     turn = np.asarray(cv2.Rodrigues(rng.normal(0, 1, 3) * stated.rotation_rad)[0], float)
     shift = rng.normal(0, 1, 3) * stated.translation_m
     cameras = [_miscalibrate(c, stated, rng) for c in true.cameras]
-    return true, StereoRig(cameras[0], cameras[1], turn @ R, t + shift, stated if rig.states_uncertainty else None)
+    written = StereoRig(cameras[0], cameras[1], turn @ R, t + shift, stated)
+    return true, written if rig.states_uncertainty else with_assumed_uncertainty(written)
 
 
 def _miscalibrate(camera: Camera, sigma: RigUncertainty, rng: np.random.Generator) -> Camera:
     K = camera.K.copy()
     K[[0, 1], [0, 1]] += rng.normal(0, 1, 2) * sigma.focal_length_px
     K[:2, 2] += rng.normal(0, 1, 2) * sigma.principal_point_px
-    return Camera(camera.image_size, K, camera.distortion)
+    return replace(camera, K=K)

@@ -93,7 +93,8 @@ class PositionModel(Document):
 class RigSceneModel(Document):
     """Two cameras ``baseline`` apart. The left one stands at ``eye`` and looks at ``target``; the right one does so up
     to random rotations of ``misalignment`` (standard deviation, rad). ``rig_error_std`` are standard deviations of the
-    parameters in rig.yaml from the true ones; with ``states_uncertainty`` rig.yaml states them, too."""
+    parameters in rig.yaml from the true ones; with ``states_uncertainty`` rig.yaml states them, too, or that there are
+    none."""
 
     image_size: Annotated[list[Size], Field(min_length=2, max_length=2)] = [1024, 768]
     focal: Positive = 2200.0

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from paceline.arrays import Array, Mask
-from paceline.cameras import PosedCamera
+from paceline.cameras import PosedCamera, StereoRig
+from paceline.documents.assumed_calibration import without_statements
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.progress import Progress
 from paceline.simulation.operator import clip_document
@@ -35,9 +36,15 @@ IMAGE_SUFFIX = {"png": ".png", "jpeg": ".jpg", "h264": ".png"}
 
 
 def write(
-    scene: SpeedScene, directory: Path | str, progress: Progress | None = None, variant: str | None = None
+    scene: SpeedScene,
+    directory: Path | str,
+    progress: Progress | None = None,
+    variant: str | None = None,
+    states_cameras: bool = True,
 ) -> Path:
     """Render ``scene`` into ``directory`` and return the path of its clip.yaml.
+
+    Without ``states_cameras`` neither rig.yaml nor clip.yaml tells how ideal the cameras are.
 
     Pictures that are there already, from a run that was interrupted, are kept. The same scene gives the same pictures
     bit for bit on the same variant of the renderer. Raises UnusableInput where the scene or the folder cannot be used.
@@ -69,15 +76,18 @@ def write(
                 progress(n_done, total)
         if scene.sensor.image_format == "h264" and not video.exists():
             clip_folder.write_video(video, paths, placed.clocks[i].tolist(), scene.sensor.quality)
-    _write_documents(placed, clip, truth, directory)
+    rig = placed.written_rig
+    if not states_cameras:
+        rig, _ = without_statements(rig), clip.pop("synchronised", None)
+    _write_documents(placed, rig, clip, truth, directory)
     _remove_temporary_files(directory, scene)
     return directory / "clip.yaml"
 
 
 def _write_documents(
-    placed: PlacedStereoScene, clip: dict[str, Any], truth: list[dict[str, Any]], directory: Path
+    placed: PlacedStereoScene, rig: StereoRig, clip: dict[str, Any], truth: list[dict[str, Any]], directory: Path
 ) -> None:
-    clip_folder.write_atomically(directory / "rig.yaml", rig_yaml(placed.written_rig).encode())
+    clip_folder.write_atomically(directory / "rig.yaml", rig_yaml(rig).encode())
     clip_folder.write_atomically(directory / "truth.json", json.dumps(truth).encode())
     clip_folder.write_atomically(directory / "true_rig.yaml", rig_yaml(placed.rig).encode())
     if "times" in clip:

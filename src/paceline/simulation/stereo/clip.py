@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
 from paceline.cameras import PosedCamera, StereoRig
+from paceline.documents.assumed_calibration import without_statements
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation import textures
 from paceline.simulation.operator import add_drawing_noise, draw_line, is_inside_image
@@ -118,6 +119,8 @@ class World:
         needs_times = bool(scene.dropped or scene.skew_s)
         clip: dict[str, Any] = {"left": "left", "right": "right"}
         clip |= {"times": "times.csv"} if needs_times else {"rate": scene.rate}
+        if not scene.skew_s:
+            clip["synchronised"] = True
         clip["rig"] = "rig.yaml"
         lanes: dict[tuple[float, bool], str] = {}
         if scene.draw_path:
@@ -274,22 +277,25 @@ def _soft_shadow_texture() -> Texture:
 _SHADOW_TEXTURE = _soft_shadow_texture()
 
 
-def write(rendered: RenderedClip, directory: Path | str) -> Path:
+def write(rendered: RenderedClip, directory: Path | str, states_cameras: bool = True) -> Path:
     """Write left/, right/, rig.yaml, clip.yaml, truth.json and, where the frames are not evenly timed, times.csv into
-    ``directory``; returns the path of clip.yaml."""
+    ``directory``; returns the path of clip.yaml. Without ``states_cameras`` no file tells how ideal the cameras are."""
     directory = Path(directory)
     for side, images in (("left", rendered.left), ("right", rendered.right)):
         (directory / side).mkdir(parents=True, exist_ok=True)
         for k, image in enumerate(images):
             cv2.imwrite(str(directory / side / f"{k:04d}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    write_documents(rendered, directory)
+    write_documents(rendered, directory, states_cameras)
     return directory / "clip.yaml"
 
 
-def write_documents(rendered: RenderedClip, directory: Path) -> None:
+def write_documents(rendered: RenderedClip, directory: Path, states_cameras: bool = True) -> None:
     """Everything of `write` but the pictures."""
-    (directory / "rig.yaml").write_text(rig_yaml(rendered.rig))
-    (directory / "clip.yaml").write_text(yaml.safe_dump(rendered.clip, sort_keys=False))
+    rig, clip = rendered.rig, rendered.clip
+    if not states_cameras:
+        rig, clip = without_statements(rig), {key: clip[key] for key in clip if key != "synchronised"}
+    (directory / "rig.yaml").write_text(rig_yaml(rig))
+    (directory / "clip.yaml").write_text(yaml.safe_dump(clip, sort_keys=False))
     (directory / "truth.json").write_text(json.dumps(rendered.truth))
     if "times" in rendered.clip:
         with (directory / rendered.clip["times"]).open("w", newline="") as f:

@@ -13,7 +13,7 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
-from paceline.cameras import Camera, PosedCamera, StereoRig
+from paceline.cameras import Camera, PosedCamera, Quantity, StereoRig
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.operator import OPERATOR_NOISE, longest_visible_run
 from paceline.simulation.road import CircularAxis
@@ -202,7 +202,8 @@ def make_rig(scene: Scene) -> StereoRig:
     def camera() -> Camera:
         fx = scene.focal * (1 + rng.normal(0, 0.002))
         cx, cy = (w - 1) / 2 + rng.normal(0, 4), (h - 1) / 2 + rng.normal(0, 4)
-        return Camera(scene.image_size, np.array([[fx, 0, cx], [0, fx * (1 + rng.normal(0, 2e-4)), cy], [0, 0, 1.0]]))
+        K = np.array([[fx, 0, cx], [0, fx * (1 + rng.normal(0, 2e-4)), cy], [0, 0, 1.0]])
+        return Camera(scene.image_size, K, readout=Quantity(0.0))
 
     left, right = camera(), camera()
     angles = np.clip(rng.normal(0, scene.rotation_sigma, 3), -0.02, 0.02)
