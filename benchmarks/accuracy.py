@@ -4,7 +4,7 @@ python benchmarks/accuracy.py [--suite plain|hard|crossing] [--n 120] [--seed 10
     [--together 1]
 
 --rig stated moves every clip's rig at random by what its file states as its uncertainty; --rig unstated moves it as
-much, and the file states nothing: it is taken as exact. With --together 10 the clips are by one rig ten by ten, and
+much, and it is taken as exact. With --together 10 the clips are by one rig ten by ten, and
 what their vehicles tell of it puts all of them right, as if they had passed in one recording.
 """
 
