@@ -17,10 +17,11 @@ from paceline.cameras import RigUncertainty, StereoRig
 
 # One standard deviation each
 COMMON_FOCAL_SHARE = 3e-4  # of all focal lengths, by which they err together: the distance of the board
-CAMERA_FOCAL_SHARE = 2e-4  # of the two focal lengths of one camera
+CAMERA_FOCAL_SHARE = 1e-3  # of the two focal lengths of one camera, whose lens is not touched, but warms and ages
 AXIS_FOCAL_SHARE = 5e-5  # of one focal length by itself
 PRINCIPAL_POINT_SHARE = 5e-4  # of the focal length, by which a principal point is off and its camera's axes turned
-PICTURE_SHIFT_PX = 0.1  # by which the pictures do not fit together, across and down, and by roll at ROLL_RADIUS_SHARE
+PICTURE_SHIFT_PX = 0.1  # by which the pictures do not fit together across
+PICTURE_HEIGHT_PX = 0.3  # by which they do not down, and by roll at ROLL_RADIUS_SHARE
 ROLL_RADIUS_SHARE = 0.25  # of the picture's width
 TRANSLATION_SHARE = 5e-4  # of the baseline: half a millimetre in a metre of the board
 
@@ -57,6 +58,7 @@ def _independent_changes(rig: StereoRig) -> Array:
             if side == 0:  # the right camera's axes stay, and the left one's centre in them
                 change[11:] = np.cross(rig.t, turn)
             changes.append(PRINCIPAL_POINT_SHARE * change)
-    turns = PICTURE_SHIFT_PX / np.array([fy, fx, ROLL_RADIUS_SHARE * rig.right.image_size[0]])
+    roll_radius = ROLL_RADIUS_SHARE * rig.right.image_size[0]
+    turns = np.array([PICTURE_HEIGHT_PX / fy, PICTURE_SHIFT_PX / fx, PICTURE_HEIGHT_PX / roll_radius])
     pose = np.diag([*np.zeros(8), *turns, *[TRANSLATION_SHARE * rig.baseline] * 3])[8:]
     return np.array([*changes, *pose])

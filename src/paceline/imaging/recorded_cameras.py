@@ -16,7 +16,8 @@ from paceline.arrays import Array, Indices
 from paceline.cameras import VIEW_NAMES, Camera, Quantity, StereoRig
 from paceline.documents.loading import Clip
 from paceline.imaging.camera_rotation import CameraRotations, estimate_rotations, expected_rotations
-from paceline.imaging.view_offset import ViewOffset, estimate_view_offset
+from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
+from paceline.imaging.feature_matches import match_views
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 
@@ -28,14 +29,14 @@ READOUT_STD_S = 0.012
 class RecordedCameras:
     """A ``clip`` and its ``recording`` as seen by cameras that do not turn, each frame at its time.
 
-    ``rotations`` are those of the cameras as they recorded, and ``view_offset`` is what was estimated of the time
-    between the views; None where it is stated.
+    ``rotations`` are those of the cameras as they recorded, and ``fit`` is what matches between the views tell of the
+    rig and of the time between their exposures.
     """
 
     clip: Clip
     recording: StereoRecording
     rotations: CameraRotations
-    view_offset: ViewOffset | None
+    fit: EpipolarFit
 
     def as_recorded(self, frame: Indices, pixels: Array, side: int) -> Array:
         """Where ``pixels`` (N, …, 2) of the frames (N,) are in the pictures as recorded, free of distortion."""
@@ -43,7 +44,7 @@ class RecordedCameras:
             return pixels
         n = np.searchsorted(self.recording.indices, frame)
         vectors = self.recording.rotations[n, side]
-        camera = self.clip.rig.cameras[side]
+        camera = self.recording.rig.cameras[side]
         return camera.turned(pixels, vectors.reshape(len(frame), *(1,) * (pixels.ndim - 2), 3))
 
     def summary(self) -> dict[str, Any]:
@@ -53,10 +54,9 @@ class RecordedCameras:
         for side, (name, camera) in enumerate(zip(VIEW_NAMES, rig.cameras, strict=True)):
             moved = np.zeros((1, 2)) if rotations is None else rotations[:, side, :2] * camera.K[0, 0]
             views[name] = {"sway_px_rms": float(np.sqrt((moved**2).sum(-1).mean()))}
-        epipolar = self.view_offset.epipolar_px if self.view_offset else None
         return {
             **views,
-            "epipolar_px": None if epipolar is None else {"value": epipolar.value, "std": epipolar.std},
+            "epipolar_px": self.fit.epipolar_px,
             "assumed": ["rig"] if rig.uncertainty is not None and rig.uncertainty.is_assumed else [],
         }
 
@@ -70,12 +70,10 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     rotations = estimate_rotations(recording, clip.drawn_on, progress)
     vectors = expected_rotations(rotations) if rotations.is_stationary else np.zeros_like(rotations.vectors)
     steady = recording.corrected(0.0, vectors if vectors.any() else None)
-    offset, view_offset = clip.offset, None
-    if offset is None:
-        view_offset = estimate_view_offset(steady, readout_difference_std(rig))
-        offset = expected_offset(view_offset.offset, recording.pairing.interval)
+    fit = fit_epipolar_residuals(rig, *match_views(steady), readout_difference_std(rig))
+    offset = clip.offset or expected_offset(fit.offset, recording.pairing.interval)
     steady = steady.corrected(offset.value, steady.rotations)
-    seen = RecordedCameras(replace(clip, rig=rig, offset=offset), steady, rotations, view_offset)
+    seen = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit)
     return replace(seen, clip=with_steady_outlines(seen))
 
 
@@ -117,7 +115,7 @@ def with_steady_outlines(seen: RecordedCameras) -> Clip:
             left, right = (
                 camera.turned(outline, -vector)
                 for camera, outline, vector in zip(
-                    clip.rig.cameras, (vehicle.left, vehicle.right), vectors[n], strict=True
+                    seen.recording.rig.cameras, (vehicle.left, vehicle.right), vectors[n], strict=True
                 )
             )
             vehicle = replace(vehicle, left=left, right=right)

@@ -1,12 +1,7 @@
-"""The time between the exposures of the two views, from what moves.
+"""Matches between the two views, of points that move, with their velocities, and of points that do not.
 
-Where the right camera exposes later by δ, a moving point is off its epipolar line there by δ times its velocity across
-that line; static points are not. Features of the moving parts of the picture are matched over time, which gives their
-velocities, and between the views; the slope of their epipolar residuals over the velocity is δ. What static points and
-moving ones have in common is the calibration's error. Where a camera reads its rows one after another, δ differs from
-row to row.
-
-Compare Albl et al. 2017, "On the two-view geometry of unsynchronized cameras", which needs no calibration.
+Features (SIFT) of the moving parts of the picture are matched over time and between the views; those of the rest
+between the views only. The places in the right view are refined to sub-pixels by Lucas–Kanade.
 """
 
 from __future__ import annotations
@@ -21,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image, Mask
-from paceline.cameras import Quantity, StereoRig
-from paceline.geometry import epipolar_distance, homogeneous
+from paceline.cameras import StereoRig
+from paceline.geometry import epipolar_distance
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.sift_features import Descriptors, detect_features, match_descriptors
 
@@ -45,13 +40,6 @@ REFINEMENT_WINDOW_PX = (15, 15)
 FLOW_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005)  # 30 iterations, 0.005 px
 MAX_ACCELERATION_SHARE = 0.5  # difference between a point's displacements before and after over their sum
 MIN_DISPLACEMENT_PX = 1.0
-MIN_MOVING_MATCHES = 12
-TUKEY_CONSTANT = 4.685
-MIN_RESIDUAL_PX = 0.03
-# Standard deviation of an epipolar residual that all matches of moving points share; seen on clips with known offsets
-COMMON_RESIDUAL_PX = 0.03
-STATIC_STD_PX = 3.0  # prior of the calibration's epipolar residual, and of its change over a picture
-FIT_STEPS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,74 +51,23 @@ class Matches:
     velocity: Array
 
 
-@dataclass(frozen=True, eq=False)
-class ViewOffset:
-    """``offset`` s of the right exposures, ``matches`` of moving points, and the static epipolar residual: its
-    ``epipolar_px`` RMS over the static points and its standard deviation."""
-
-    offset: Quantity | None
-    matches: int
-    epipolar_px: Quantity | None
+NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)))
 
 
-def estimate_view_offset(recording: StereoRecording, readout_difference_std: float) -> ViewOffset:
-    """The offset between the views of ``recording``; None where too little moves across the epipolar lines.
-
-    ``readout_difference_std`` (s) is the prior standard deviation of the right readout minus the left one.
-    """
+def match_views(recording: StereoRecording) -> tuple[Matches, Matches]:
+    """The matches of static and of moving points of the beginning of ``recording``."""
     rig, detector = recording.rig, cv2.SIFT.create(contrastThreshold=CONTRAST_THRESHOLD)
-    moving: list[Matches] = []
+    moving: list[Matches] = [NO_MATCHES]
     static: Matches | None = None
     for before, frame, after in _instants(recording):
         regions = [_moving(a, b, c) for a, b, c in zip(_views(before), _views(frame), _views(after), strict=True)]
         if static is None:
             static = _match_static(detector, rig, frame, [~_grown(r) for r in regions])
         moving.append(_match_moving(detector, rig, (before, frame, after), regions))
-    if static is None:
-        return ViewOffset(None, 0, None)
-    found = Matches(*(np.concatenate([getattr(m, name) for m in moving]) for name in ("left", "right", "velocity")))
-    return fit_view_offset(rig, static, found, readout_difference_std)
-
-
-def fit_view_offset(rig: StereoRig, static: Matches, moving: Matches, readout_difference_std: float) -> ViewOffset:
-    """The offset by a robust fit (Tukey's weights) to the epipolar residuals of static and moving matches."""
-    left, right = np.concatenate([static.left, moving.left]), np.concatenate([static.right, moving.right])
-    residual = epipolar_distance(rig, left, right)
-    across = velocity_across(rig, left, right, np.concatenate([static.velocity, moving.velocity]))
-    rays, rows = rig.right.rays(right), right[:, 1] / (rig.right.image_size[1] - 1) - 0.5
-    X = np.column_stack([np.ones(len(right)), rays[:, 0], rays[:, 1], across, across * rows])
-    spread = np.array([STATIC_STD_PX, *(2 * STATIC_STD_PX / np.array(rig.right.image_size) * rig.right.K[0, 0])])
-    prior = np.diag([*spread**-2.0, 0.0, readout_difference_std**-2.0])
-    if len(moving.left) < MIN_MOVING_MATCHES:
-        X[:, 3:] = 0.0
-        prior[3, 3] = 1.0
-    x: Array = np.zeros(5)
-    weights = np.ones(len(right))
-    for _ in range(FIT_STEPS):
-        misfit = np.abs(residual - X @ x)
-        sigma = max(1.4826 * float(np.median(misfit)) if len(misfit) else 0.0, MIN_RESIDUAL_PX)
-        weights = np.maximum(1.0 - (misfit / (TUKEY_CONSTANT * sigma)) ** 2, 0.0) ** 2
-        A = (X.T * weights) @ X / sigma**2 + prior
-        x = np.asarray(np.linalg.solve(A, (X.T * weights) @ residual / sigma**2), float)
-    covariance = np.linalg.inv(A)
-    still = X[: len(static.left), :3] @ x[:3]
-    epipolar = Quantity(float(np.sqrt((still**2).mean())), float(np.sqrt(covariance[0, 0])), "estimated")
-    used = weights[len(static.left) :] > 0
-    if used.sum() < MIN_MOVING_MATCHES:
-        return ViewOffset(None, int(used.sum()), epipolar)
-    speed = float(np.sqrt((across[len(static.left) :][used] ** 2).mean()))
-    std = float(np.hypot(np.sqrt(covariance[3, 3]), COMMON_RESIDUAL_PX / speed))
-    return ViewOffset(Quantity(float(x[3]), std, "estimated"), int(used.sum()), epipolar)
-
-
-def velocity_across(rig: StereoRig, left: Array, right: Array, velocity: Array) -> Array:
-    """Velocities (N,) px/s across the epipolar lines in the right view of points at ``left``, ``right`` (N, 2) px.
-
-    ``velocity`` (N, 2) px/s is the left one. A point's xᵣᵀ F xₗ stays 0, so the velocities in both views, across the
-    epipolar lines, balance.
-    """
-    in_right, in_left = homogeneous(left) @ rig.fundamental.T, homogeneous(right) @ rig.fundamental
-    return np.asarray(-(in_left[:, :2] * velocity).sum(-1) / np.hypot(in_right[:, 0], in_right[:, 1]))
+    left, right, velocity = (
+        np.concatenate([getattr(m, name) for m in moving]) for name in ("left", "right", "velocity")
+    )
+    return static or NO_MATCHES, Matches(left, right, velocity)
 
 
 def _instants(recording: StereoRecording) -> Iterator[tuple[StereoFrame, StereoFrame, StereoFrame]]:

@@ -1,0 +1,101 @@
+"""What epipolar residuals tell: the time between the views, and how the rig differs from its calibration.
+
+Where the right camera exposes later by δ, a moving point is off its epipolar line there by δ times its velocity across
+that line; static points are not. Where a camera reads its rows one after another, δ differs from row to row. What
+static points and moving ones have in common is the calibration's error, as far as it shows in one picture: the height
+and the roll of one view against the other, and the ratio of their focal lengths.
+
+Compare Albl et al. 2017, "On the two-view geometry of unsynchronized cameras", which needs no calibration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from paceline.arrays import Array
+from paceline.cameras import Quantity, StereoRig, perturbed_rig
+from paceline.geometry import epipolar_distance, homogeneous
+from paceline.imaging.feature_matches import Matches
+
+MIN_MOVING_MATCHES = 12
+TUKEY_CONSTANT = 4.685  # residual in standard deviations beyond which Tukey's weight is zero
+MIN_RESIDUAL_PX = 0.03  # residuals of refined matches are at least those of interpolation
+CORRELATED_MATCHES = 4.0  # neighbouring matches that share their errors
+# Standard deviation of an epipolar residual that all matches of moving points share, by what else than the vehicle lies
+# in their windows; seen on clips with known offsets
+COMMON_MOVING_RESIDUAL_PX = 0.03
+DIFFERENCE_STEP = 1e-2  # step of finite differences, in prior standard deviations
+FIT_STEPS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class EpipolarFit:
+    """What the residuals of static and moving matches tell.
+
+    ``rig`` is the one that they and its calibration together determine, with the uncertainty that remains.
+    ``rig_shift_sigma`` is how far that is from the calibration, in prior standard deviations (the Mahalanobis
+    distance), and ``epipolar_px`` the RMS residual of the static points that it explains. ``offset`` (s) is that of the
+    right exposures, None where fewer than `MIN_MOVING_MATCHES` move.
+    """
+
+    rig: StereoRig
+    rig_shift_sigma: float
+    epipolar_px: float
+    offset: Quantity | None
+
+
+def fit_epipolar_residuals(
+    rig: StereoRig, static: Matches, moving: Matches, readout_difference_std: float
+) -> EpipolarFit:
+    """A robust fit (Tukey's weights) of the rig, the offset and the difference between the readouts, right minus left.
+
+    The rig has its calibration's uncertainty as its prior, the readouts' difference the standard deviation
+    ``readout_difference_std`` (s).
+    """
+    left, right = np.concatenate([static.left, moving.left]), np.concatenate([static.right, moving.right])
+    root = np.zeros((0, 14)) if rig.uncertainty is None else rig.uncertainty.covariance_root
+    residual = epipolar_distance(rig, left, right)
+    by_rig = [
+        (residual - epipolar_distance(perturbed_rig(rig, DIFFERENCE_STEP * change), left, right)) / DIFFERENCE_STEP
+        for change in root
+    ]
+    across = velocity_across(rig, left, right, np.concatenate([static.velocity, moving.velocity]))
+    rows = (right[:, 1] + 0.5) / rig.right.image_size[1] - 0.5
+    Q, is_moving = len(root), len(moving.left) >= MIN_MOVING_MATCHES
+    X = np.column_stack([*by_rig, is_moving * across, is_moving * across * rows])
+    prior = np.diag([*np.ones(Q), 0.0 if is_moving else 1.0, readout_difference_std**-2.0])
+    x: Array = np.zeros(Q + 2)
+    weights, information = np.ones(len(right)), prior
+    for _ in range(FIT_STEPS if len(right) else 0):
+        misfit = np.abs(residual - X @ x)
+        sigma = max(1.4826 * float(np.median(misfit)), MIN_RESIDUAL_PX)
+        weights = np.maximum(1.0 - (misfit / (TUKEY_CONSTANT * sigma)) ** 2, 0.0) ** 2
+        of_matches = (X.T * weights) / (CORRELATED_MATCHES * sigma**2)
+        information = of_matches @ X + prior
+        x = np.asarray(np.linalg.solve(information, of_matches @ residual), float)
+    covariance = np.linalg.inv(information)
+    explained = X[: len(static.left), :Q] @ x[:Q]
+    epipolar_px = float(np.sqrt((explained**2).mean())) if len(explained) else 0.0
+    corrected = rig
+    if rig.uncertainty is not None:
+        remaining = replace(rig.uncertainty, covariance=root.T @ covariance[:Q, :Q] @ root)
+        corrected = replace(perturbed_rig(rig, x[:Q] @ root), uncertainty=remaining)
+    shift = float(np.linalg.norm(x[:Q]))
+    used = weights[len(static.left) :] > 0
+    if used.sum() < MIN_MOVING_MATCHES:
+        return EpipolarFit(corrected, shift, epipolar_px, None)
+    speed = float(np.sqrt((across[len(static.left) :][used] ** 2).mean()))
+    std = float(np.hypot(np.sqrt(covariance[Q, Q]), COMMON_MOVING_RESIDUAL_PX / speed))
+    return EpipolarFit(corrected, shift, epipolar_px, Quantity(float(x[Q]), std, "estimated"))
+
+
+def velocity_across(rig: StereoRig, left: Array, right: Array, velocity: Array) -> Array:
+    """Velocities (N,) px/s across the epipolar lines in the right view of points at ``left``, ``right`` (N, 2) px.
+
+    ``velocity`` (N, 2) px/s is the left one. A point's xᵣᵀ F xₗ stays 0, so the velocities in both views, across the
+    epipolar lines, balance.
+    """
+    in_right, in_left = homogeneous(left) @ rig.fundamental.T, homogeneous(right) @ rig.fundamental
+    return np.asarray(-(in_left[:, :2] * velocity).sum(-1) / np.hypot(in_right[:, 0], in_right[:, 1]))
