@@ -172,7 +172,7 @@ def test_a_written_clip_reads_back(tmp_path: Path) -> None:
     assert set(clip["paths"]["lane0"]) == {"shape", "left", "right", "lateral_offset"}
     assert clip["paths"]["lane0"]["shape"] == "curve"
     rig = yaml.safe_load((tmp_path / "rig.yaml").read_text())
-    assert set(rig) == {"left", "right", "rotation", "translation"}
+    assert set(rig) == {"left", "right", "rotation", "translation", "uncertainty"}
     truth = json.loads((tmp_path / "truth.json").read_text())
     assert [row["frame"] for row in truth] == list(range(5))
     table = (tmp_path / "times.csv").read_text().split()

@@ -137,8 +137,8 @@ def stated_uncertainty(rig: StereoRig, covariance: Array) -> RigUncertainty:
 
 
 def principal_points_as_turns(rig: StereoRig) -> Array:
-    """F (14, 14), by which changes of the parameters become nearly equal ones that leave the principal points: a shift of
-    one becomes the turn of its camera that it resembles."""
+    """F (14, 14), by which changes of the parameters become nearly equal ones that leave the principal points: a shift
+    of one becomes the turn of its camera that it resembles."""
     F = np.diag([1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, *np.ones(6)])
     for first, camera, sign in ((2, rig.left, -1.0), (6, rig.right, 1.0)):
         F[9, first] = sign / camera.K[0, 0]  # the right camera: ray and pixel shift alike
