@@ -33,6 +33,7 @@ from paceline.reports.common.formatting import (
 )
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.units import COVERAGE_95
+from paceline.verdicts import message
 
 NAN = float("nan")
 FRAMES = 12
@@ -290,6 +291,21 @@ def test_page_is_complete_and_self_contained(out: Path) -> None:
     assert {a for a in page.addresses if not a.startswith("data:")} == local
     assert "script" not in page.tags
     assert page.tags.count("img") == 3 * (3 * 2 + 3) + 1  # stills and plots of three vehicles, and the plan
+
+
+def test_page_tells_what_the_systematic_part_rests_on(result: ClipResult, tmp_path: Path) -> None:
+    assumed = replace(measured("v0"), notices=[message("rig_uncertainty_missing", rig="rig.yaml")])
+    for name, m, said in (
+        ("stated", measured("v0"), "the systematic part is the uncertainty of the cameras’ calibration that remains"),
+        ("assumed", assumed, "the systematic part is the assumed uncertainty of the cameras’ calibration that remains"),
+        (
+            "exact",
+            replace(measured("v0"), systematic_std=NAN),
+            "There is no systematic part: the interval is valid only",
+        ),
+    ):
+        write_report(replace(result, measurements=[m]), Recording(), tmp_path / name, overlay=False)
+        assert said in " ".join(Page((tmp_path / name / "report.html").read_text()).text.split())
 
 
 def test_page_escapes_what_comes_from_files(result: ClipResult, tmp_path: Path) -> None:
