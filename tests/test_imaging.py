@@ -1,0 +1,288 @@
+"""What a recording tells of its cameras: their rotations, the time between the views, the rig."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from paceline.cameras import Camera, Quantity, RigUncertainty, StereoRig, perturbed_rig
+from paceline.documents.loading import load_clip
+from paceline.geometry import epipolar_distance
+from paceline.imaging import recorded_cameras
+from paceline.imaging.camera_rotation import (
+    CameraRotations,
+    ReferenceView,
+    expected_rotations,
+    fit_rotation,
+    rotation_jacobian,
+)
+from paceline.imaging.epipolar_fit import fit_epipolar_residuals, velocity_across
+from paceline.imaging.feature_matches import Matches, match_views
+from paceline.recordings.stereo import open_recording
+from paceline.simulation.stereo.clip import render, write
+from paceline.simulation.stereo.scene import Scene, Vehicle
+from paceline.speed.measurement import measure_clip
+from paceline.speed.refinement.keyframes import Keyframe, exposures
+
+ROTATION = st.tuples(*[st.floats(-2e-3, 2e-3)] * 3).map(np.array)
+CAMERA = Camera((1024, 768), np.array([[2200.0, 0, 511.5], [0, 2210, 383.5], [0, 0, 1]]))
+LENS = replace(CAMERA, distortion=np.array([-0.2, 0.05, 0.001, -0.0005]))
+
+
+def random_pixels(count: int, seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([0, 0], CAMERA.image_size, (count, 2))
+
+
+def turned_by_opencv(pixels, rotation):
+    return CAMERA.project(CAMERA.rays(pixels) @ cv2.Rodrigues(rotation)[0].T)
+
+
+# --- rotations ------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=20)
+@given(ROTATION)
+def test_a_turned_camera_sees_points_where_rodrigues_formula_says(rotation):
+    pixels = random_pixels(5)
+    np.testing.assert_allclose(CAMERA.turned(pixels, rotation), turned_by_opencv(pixels, rotation), atol=1e-8)
+    np.testing.assert_allclose(CAMERA.turned(CAMERA.turned(pixels, rotation), -rotation), pixels, atol=1e-8)
+
+
+def test_the_jacobian_is_the_difference_of_small_rotations():
+    pixels, step = random_pixels(6), 1e-6
+    expected = [
+        (CAMERA.turned(pixels, step * axis) - CAMERA.turned(pixels, -step * axis)) / (2 * step) for axis in np.eye(3)
+    ]
+    np.testing.assert_allclose(rotation_jacobian(CAMERA, pixels), np.moveaxis(expected, 0, -1), rtol=1e-6, atol=1e-3)
+
+
+@settings(max_examples=10)
+@given(ROTATION, st.integers(0, 100))
+def test_a_rotation_is_found_among_points_of_vehicles_within_its_uncertainty(rotation, seed):
+    rng, before = np.random.default_rng(seed), random_pixels(120, seed)
+    after = turned_by_opencv(before, rotation) + rng.normal(0, 0.05, before.shape)
+    after[:40] += [12.0, 3.0]  # a third of them moves by itself
+    vector, covariance, weights = fit_rotation(CAMERA, before, after)
+    error = vector - rotation
+    assert error @ np.linalg.solve(covariance, error) < 21.1  # 1 in 10,000 of χ² with three degrees of freedom
+    assert (weights[:40] == 0).all() and (weights[40:] > 0).mean() > 0.95
+
+
+@pytest.mark.parametrize("camera", [CAMERA, LENS], ids=["pinhole", "lens"])
+def test_pictures_of_a_turned_camera_are_turned_back(camera):
+    rng = np.random.default_rng(4)
+    still = cv2.GaussianBlur(rng.uniform(0, 255, (768, 1024)).astype(np.float32), (0, 0), 3)
+    still = 128 + 8 * (still - still.mean())
+    rotation = np.array([4e-4, -7e-4, 1e-3])
+    y, x = np.mgrid[:768, :1024].astype(np.float32)
+    # what the camera's picture shows at a pixel: the ideal one there, turned back, on the still picture
+    ideal = camera.undistort_points(np.stack([x, y], -1))
+    source = camera.turned(ideal, -rotation).astype(np.float32)
+    seen = cv2.remap(still, source[..., 0], source[..., 1], cv2.INTER_LANCZOS4)
+    back = camera.undistort_image(seen, rotation=rotation)
+    inside = slice(120, -120), slice(160, -160)
+    assert np.abs(back[inside] - still[inside]).mean() < 0.03 * still.std()
+    assert np.abs(seen[inside] - still[inside]).mean() > 0.2 * still.std()
+    if camera is CAMERA:
+        vector, covariance, share = ReferenceView(camera, still).rotation_in(seen)
+        assert share > 0.8
+        np.testing.assert_allclose(vector, rotation, atol=4 * np.sqrt(np.diag(covariance)).max())
+
+
+def rotations_of(vectors: np.ndarray, std: float) -> CameraRotations:
+    covariance = np.broadcast_to(std**2 * np.eye(3), (*vectors.shape, 3))
+    return CameraRotations(vectors, covariance, np.ones(vectors.shape[:2]))
+
+
+def test_noise_alone_is_no_rotation_and_sway_is_hardly_shrunk():
+    rng, std = np.random.default_rng(2), 5e-6
+    noise = rng.normal(0, std, (30, 2, 3))
+    assert (expected_rotations(rotations_of(noise, std)) == 0).all()
+    sway = rng.normal(0, 20 * std, (30, 2, 3))
+    np.testing.assert_allclose(expected_rotations(rotations_of(sway, std)), sway, rtol=0.02)
+
+
+# --- epipolar residuals ---------------------------------------------------------------------------------------------
+
+
+def moving_points(rig: StereoRig, offset: float, readouts=(0.0, 0.0), count: int = 200, seed: int = 3):
+    """Matches of points that move at their own velocities, the right ones seen ``offset`` s later, and of static
+    ones."""
+    rng = np.random.default_rng(seed)
+    P = rng.uniform([-4, -2, 20], [4, 2, 70], (count, 3))
+    V = np.where(np.arange(count)[:, None] < count // 2, rng.uniform([-3, -1, -20], [3, 1, -8], (count, 3)), 0.0)
+    below = [(p[:, 1] + 0.5) / 768 - 0.5 for p in rig.project(P)]
+    times = readouts[0] * below[0], offset + readouts[1] * below[1]
+    left = rig.left.project(P + times[0][:, None] * V)
+    right = rig.right.project(rig.to_right(P + times[1][:, None] * V))
+    velocity = (rig.left.project(P + 1e-4 * V) - rig.left.project(P - 1e-4 * V)) / 2e-4
+    noise = rng.normal(0, 0.05, right.shape)
+    matches = Matches(left, right + noise, velocity)
+    is_moving = np.arange(count) < count // 2
+    return tuple(
+        Matches(*(values[mask] for values in (matches.left, matches.right, matches.velocity)))
+        for mask in (~is_moving, is_moving)
+    )
+
+
+def test_the_velocity_across_the_epipolar_lines_is_that_in_the_right_view(rig):
+    rng = np.random.default_rng(5)
+    P, V, dt = rng.uniform([-3, -2, 20], [3, 2, 60], (9, 3)), rng.normal(0, 10, (9, 3)), 1e-5
+    left, right = rig.project(P)
+    velocity = (rig.left.project(P + dt * V) - left) / dt
+    later = rig.project(P + dt * V)[1]
+    np.testing.assert_allclose(
+        velocity_across(rig, left, right, velocity), epipolar_distance(rig, left, later) / dt, rtol=1e-3, atol=0.05
+    )
+
+
+@pytest.mark.parametrize("offset", [-0.004, 0.0, 0.0083])
+@pytest.mark.parametrize("readouts", [(0.0, 0.0), (0.02, 0.02), (0.0, 0.01)])
+def test_the_offset_is_found_within_its_uncertainty(rig, offset, readouts):
+    fit = fit_epipolar_residuals(rig, *moving_points(rig, offset, readouts), 0.017)
+    assert abs(fit.offset.value - offset) < 4 * fit.offset.std
+    assert fit.offset.std < 0.003
+    assert fit.rig is rig  # it is exact
+
+
+def test_where_little_moves_the_offset_is_unknown(rig):
+    static, moving = moving_points(rig, 0.01)
+    few = Matches(moving.left[:5], moving.right[:5], moving.velocity[:5])
+    assert fit_epipolar_residuals(rig, static, few, 0.017).offset is None
+    none = Matches(*np.zeros((3, 0, 2)))
+    assert fit_epipolar_residuals(rig, none, none, 0.017).offset is None
+
+
+def test_static_points_correct_what_shows_of_a_wrong_calibration(rig):
+    uncertain = replace(rig, uncertainty=RigUncertainty(2.0, 0.5, (2e-4, 5e-5, 5e-4), (2e-4, 2e-4, 2e-4)))
+    static, moving = moving_points(rig, 0.004)
+    move = np.zeros(14)
+    move[8], move[10] = 3e-4, -6e-4  # about the horizontal axis, and rolled
+    wrong = replace(perturbed_rig(uncertain, move), uncertainty=uncertain.uncertainty)
+    fit = fit_epipolar_residuals(wrong, static, moving, 0.017)
+    before = np.abs(epipolar_distance(wrong, static.left, static.right))
+    after = np.abs(epipolar_distance(fit.rig, static.left, static.right))
+    assert np.median(before) > 0.3 and np.median(after) < 0.08
+    assert fit.epipolar_px == pytest.approx(np.sqrt((before**2).mean()), rel=0.15)
+    assert residual_std(fit.rig, static) < 0.1 * residual_std(wrong, static)
+    assert fit.rig.uncertainty.covariance[9, 9] == pytest.approx((5e-5) ** 2, rel=0.1)  # a turn along the baseline
+    assert abs(fit.offset.value - 0.004) < 4 * fit.offset.std
+
+
+def residual_std(rig: StereoRig, matches: Matches) -> float:
+    """RMS standard deviation (px) of the epipolar residuals by what is uncertain of the calibration."""
+    at = epipolar_distance(rig, matches.left, matches.right)
+    changes = [
+        epipolar_distance(perturbed_rig(rig, change), matches.left, matches.right) - at
+        for change in rig.uncertainty.covariance_root
+    ]
+    return float(np.sqrt((np.array(changes) ** 2).sum(0).mean()))
+
+
+@given(st.floats(-0.05, 0.05), st.floats(1e-4, 5e-3))
+def test_the_expected_offset_lies_between_none_and_the_estimate(value, std):
+    expected = recorded_cameras.expected_offset(Quantity(value, std, "estimated"), 0.2)
+    assert min(0.0, value) <= expected.value <= max(0.0, value)
+    assert expected.std >= std and abs(value - expected.value) <= expected.std + 1e-12
+    if abs(value) > 6 * std:
+        assert expected.value == pytest.approx(value, rel=1e-2)
+
+
+def test_where_nothing_tells_the_offset_may_be_half_an_interval():
+    assert recorded_cameras.expected_offset(None, 0.2) == Quantity(0.0, 0.1, "assumed")
+
+
+# --- exposures of the rows ------------------------------------------------------------------------------------------
+
+
+def test_each_row_has_its_time():
+    quads = np.array([[[100.0, y], [200, y], [200, y + 40], [100, y + 40]] for y in (80.0, 600.0)])
+    keyframes = [
+        Keyframe(k, (0.2 * k, 0.2 * k + 0.01), (np.zeros((1, 1)),) * 2, np.zeros((2, 2)), quads[[k, k]]) for k in (0, 1)
+    ]
+    left = replace(CAMERA, readout=Quantity(0.02))
+    right = replace(CAMERA, readout=Quantity(0.0, 0.012, "assumed"))
+    rig = StereoRig(left, right, np.eye(3), np.array([-0.5, 0, 0]))
+    times, timing = exposures(keyframes, rig, Quantity(0.01, 0.002, "estimated"))
+    rows = (np.array([100.0, 620.0]) + 0.5) / 768 - 0.5
+    np.testing.assert_allclose(times, np.column_stack([[0.0, 0.2] + 0.02 * rows, [0.01, 0.21]]))
+    assert timing.stds == {"offset": 0.002, "right readout": 0.012}
+    np.testing.assert_allclose(timing.shift(np.array([1.0, 0.5])), np.outer(0.002 + 0.006 * rows, [0, 1]))
+
+
+# --- clips ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def late_clip(tmp_path_factory):
+    """The right camera is 12 ms late, which no file says."""
+    folder = tmp_path_factory.mktemp("late")
+    vehicle = Vehicle("v0", 15.0, start_distance=45.0)
+    scene = Scene(5, (vehicle,), camera_height=3.0, tilt=0.06, road_depth=35.0, rate=10.0, frames=14, skew_s=0.012)
+    write(render(scene), folder)
+    file = folder / "clip.yaml"
+    document = yaml.safe_load(file.read_text())
+    del document["times"]
+    file.write_text(yaml.safe_dump(document | {"rate": 10.0}))
+    return file
+
+
+def test_a_late_right_view_is_found_and_does_not_bias_the_speed(late_clip):
+    result = measure_clip(late_clip)
+    offset, measurement = result.cameras["offset_s"], result.measurements[0]
+    assert offset["source"] == "estimated"
+    assert abs(offset["value"] - 0.012) < 4 * offset["std"] and offset["std"] < 0.001
+    assert measurement.verdict == "measured"
+    assert measurement.speed_lo < 15.0 < measurement.speed_hi
+
+
+def test_a_stated_offset_is_taken_as_stated(late_clip):
+    clip = replace(load_clip(late_clip), offset=Quantity(0.012))
+    result = measure_clip(clip)
+    assert result.cameras["offset_s"] == {"value": 0.012, "std": 0.0, "source": "stated", "speed_effect": 0.0}
+    assert result.measurements[0].speed_lo < 15.0 < result.measurements[0].speed_hi
+
+
+def test_swaying_cameras_are_steadied_and_results_are_where_they_were_recorded(late_clip):
+    recording = open_recording(load_clip(late_clip))
+    vectors = np.zeros((len(recording), 2, 3))
+    vectors[4:, :, 0] = 5e-4  # from the fifth frame on both look 1.1 px further down
+    swaying = recording.corrected(0.0, -vectors)  # pictures turned by a rotation that is not there
+
+    class Turned:
+        """The swaying pictures as a recording that knows nothing of it."""
+
+        def __getattr__(self, name):
+            return getattr(recording, name)
+
+        def __len__(self):
+            return len(recording)
+
+        def frames(self, *limits):
+            return swaying.frames(*limits)
+
+    rotations = recorded_cameras.estimate_rotations(Turned(), 0)
+    assert rotations.is_stationary
+    np.testing.assert_allclose(rotations.vectors, vectors, atol=2e-5)
+    seen = recorded_cameras.RecordedCameras(
+        load_clip(late_clip), recording.corrected(0.0, vectors), rotations, fit=None
+    )
+    pixels = np.full((2, 4, 2), 300.0)
+    left = recording.rig.left
+    recorded = seen.as_recorded(np.array([0, 6]), pixels, 0)
+    np.testing.assert_allclose(recorded[0], pixels[0])
+    there = left.project(left.rays(pixels[1]) @ cv2.Rodrigues(vectors[6, 0])[0].T)
+    np.testing.assert_allclose(recorded[1], there, atol=1e-6)
+
+
+def test_matches_of_a_clip_lie_on_their_epipolar_lines_where_nothing_moves(late_clip):
+    recording = open_recording(load_clip(late_clip))
+    static, moving = match_views(recording)
+    assert len(static.left) > 20 and len(moving.left) > 20
+    assert np.median(np.abs(epipolar_distance(recording.rig, static.left, static.right))) < 0.1
