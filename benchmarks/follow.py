@@ -1,10 +1,12 @@
 """Following rendered vehicles: frames lost, range and lateral error, coverage and time, beside other trackers.
 
 python benchmarks/follow.py [--n 20] [--seed 500] [--preset nist|hd|full_hd] [--frames 450] [--workers 2] [--long]
+    [--readout 0.02] [--vibration 0.003]
 
 Every tracker sees the same frames in one run, rendered beforehand. OpenCV's trackers are started on the exact box of
 the rear plane and their range comes from the box's width and the vehicle's true one. ViSP's have Paceline's model and
-start; they are compiled where libvisp-dev is installed. --long instead follows one vehicle for 15,300 frames.
+start; they are compiled where libvisp-dev is installed. --long instead follows one vehicle for 15,300 frames. --readout
+and --vibration render the same clips with a rolling shutter and a camera that vibrates; no tracker is told.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -219,8 +221,13 @@ def followed(scene: ChaseScene, name: str, make: Maker, frames: Frames) -> Recor
     return record
 
 
-def _run_seed(seed: int, preset: str, frames: int, makers: Makers) -> list[Record]:
-    return run(random_chase(seed, preset, frames=frames), makers)
+def _run_seed(seed: int, args: argparse.Namespace, makers: Makers) -> list[Record]:
+    return run(random_chase(seed, args.preset, **rendering(args, args.frames)), makers)
+
+
+def rendering(args: argparse.Namespace, frames: int) -> dict[str, Any]:
+    """What the command line fixes of a scene."""
+    return {"frames": frames, "readout": args.readout, "vibration": args.vibration}
 
 
 COLUMNS = (
@@ -277,7 +284,7 @@ def compare(args: argparse.Namespace) -> None:
 
 
 def _compare(args: argparse.Namespace, makers: Makers) -> None:
-    work = partial(_run_seed, preset=args.preset, frames=args.frames, makers=makers)
+    work = partial(_run_seed, args=args, makers=makers)
     print("\n" + head("clip", "vehicle", "tracker", *COLUMNS), flush=True)
     records: list[Record] = []
     for done in share_out(work, range(args.seed, args.seed + args.n), args.workers):
@@ -293,7 +300,7 @@ def _compare(args: argparse.Namespace, makers: Makers) -> None:
 
 def long_run(args: argparse.Namespace) -> None:
     """One vehicle for as long as the paper's tape; memory before and after."""
-    scene = random_chase(args.seed, args.preset, frames=LONG)
+    scene = random_chase(args.seed, args.preset, **rendering(args, LONG))
     held: dict[int, float] = {}
 
     def watched() -> Iterator[tuple[Image, ChaseTruth]]:
@@ -314,6 +321,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=500, help="seed of the first clip")
     parser.add_argument("--preset", choices=sorted(CHASE_PRESETS), default="nist", help="camera, speeds and distances")
     parser.add_argument("--frames", type=int, default=450, help="frames of each clip")
+    parser.add_argument("--readout", type=float, default=0.0, help="s from the first row's exposure to the last one's")
+    parser.add_argument("--vibration", type=float, default=0.0, help="rad RMS about each axis of the camera")
     parser.add_argument("--no-peers", action="store_true", help="leave OpenCV's and ViSP's trackers out")
     parser.add_argument("--long", action="store_true", help=f"one clip of {LONG} frames instead")
     parser.add_argument("--workers", type=int, default=2, help="processes")

@@ -15,9 +15,10 @@ from selection import slow_after
 
 from paceline.documents.loading import load_follow
 from paceline.simulation.chase.clip import ChaseScene, ChaseTruth, Occlusion, render_frames, target_document, write
-from paceline.simulation.chase.motion import road_pose, winding_road
+from paceline.simulation.chase.motion import VIBRATION_HZ, CameraVibration, road_pose, winding_road
 from paceline.simulation.chase.projection import CameraPose, Sun, TextureAtlas, axis_ahead, draw_faces, place_faces
 from paceline.simulation.chase.rasterizer import road_coordinates
+from paceline.simulation.chase.renderer import exposure_times
 from paceline.simulation.chase.script import ChaseScript
 from paceline.simulation.chase.vehicles import AntialiasedCanvas, Face
 from paceline.simulation.random_scenes.drawn import random_chase
@@ -119,6 +120,57 @@ def test_the_leads_outline_has_the_true_corners() -> None:
                 errors.append(np.mean(off) * sign)
     assert np.abs(np.mean(errors)) < 0.01
     assert np.std(errors) < 0.02
+
+
+def test_a_rolling_shutter_exposes_each_row_at_its_own_time() -> None:
+    """The sides of a vibrating camera's lead lie, row by row, where they are as the row is exposed."""
+    scene = replace(BEHIND, object_density=0.0, vibration=6e-3, readout=0.02, frames=2)
+    script, height = ChaseScript(scene), scene.image_size[1]
+    light, dark = (frames(replace(scene, paint=paint)) for paint in (170.0, 80.0))
+    errors, bends = [], []
+    for a, b, truth in zip(light[0], dark[0], light[1], strict=True):
+        difference, (top, bottom) = a.astype(float) - b, truth.corners[[0, 3], 1]
+        for row in range(int(top + 0.35 * (bottom - top)), int(top + 0.65 * (bottom - top))):
+            exposed = script.state_at(truth.time + scene.readout * (row / (height - 1) - 0.5)).corners
+            for sign, side in ((1, (0, 3)), (-1, (1, 2))):
+                true, together = (
+                    float(np.interp(row, corners[side, 1], corners[side, 0])) for corners in (exposed, truth.corners)
+                )
+                start = int(round(true)) - 5 * sign
+                errors.append(start + edge(difference[row, start : start + 11 * sign : sign]) * sign - true)
+                bends.append(true - together)
+    assert np.std(bends) > 0.2
+    assert np.abs(np.mean(errors)) < 0.02
+    assert np.std(errors) < 0.05
+
+
+def test_rows_drawn_apart_make_up_the_picture() -> None:
+    scene = random_chase(6, frames=1, occlusions=(Occlusion(0.0),), object_density=0.3)
+    whole, apart = (frames(replace(scene, readout=readout))[0][0] for readout in (0.0, 1e-12))
+    np.testing.assert_allclose(whole.astype(int), apart, atol=1)
+    assert (whole != apart).mean() < 1e-3
+    rows, later = zip(*exposure_times(replace(scene, readout=0.02)), strict=True)
+    assert [k for band in rows for k in range(band.start, band.stop)] == list(range(scene.image_size[1]))
+    assert 0.019 < later[-1] - later[0] < 0.02 and abs(later[0] + later[-1]) < 1e-3
+
+
+def test_a_camera_vibrates_by_its_rms_within_its_band() -> None:
+    vibration, times = CameraVibration(np.random.default_rng(3), 3e-3), np.arange(0, 60, 0.002)
+    turns = np.array([vibration(t) for t in times])
+    np.testing.assert_allclose(turns.std(0), 3e-3, rtol=0.03)
+    rates = np.array([vibration.rate(t) for t in times])
+    np.testing.assert_allclose(np.gradient(turns, times, axis=0)[1:-1], rates[1:-1], atol=0.01)
+    power, hertz = np.abs(np.fft.rfft(turns, axis=0)) ** 2, np.fft.rfftfreq(len(times), 0.002)
+    within = (hertz > VIBRATION_HZ[0] - 0.5) & (hertz < VIBRATION_HZ[1] + 0.5)
+    assert power[within].sum() > 0.99 * power.sum()
+
+
+def test_odometry_does_not_tell_of_vibration() -> None:
+    calm, shaken = (ChaseScript(replace(BEHIND, vibration=rms)).state_at(0.7) for rms in (0.0, 0.01))
+    places = [(state.camera.x, state.camera.y, state.camera.heading) for state in (calm, shaken)]
+    assert places[0] == places[1]
+    assert 1e-3 < np.linalg.norm(calm.position - shaken.position) / calm.gap < 0.1
+    assert np.linalg.norm(calm.position) == pytest.approx(np.linalg.norm(shaken.position))
 
 
 def test_the_position_follows_from_the_corners() -> None:

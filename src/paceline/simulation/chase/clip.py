@@ -66,7 +66,7 @@ def render_frames(scene: ChaseScene) -> Iterator[tuple[NDArray[np.uint8], ChaseT
     renderer = Renderer(script.world)
     for frame in range(scene.frames):
         state = script.state_at(frame / scene.rate)
-        image, visible = renderer.render(state)
+        image, visible = renderer.render(state, script.state_at)
         yield image, truth_of(scene, frame, state, visible)
 
 

@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.simulation.road import POLYGON_STEP_M, Axis, PolygonalAxis
 
 BUMP_PERIOD_S = 2.5  # s
 BUMP_DECAY_S = 0.25  # s
+VIBRATION_HZ = (5.0, 25.0)  # Hz, of a camera in its vehicle: from wheels on their springs to an engine at idle
+VIBRATION_MODES = 6  # about each axis
 
 
 class SmoothNoise:
@@ -59,6 +62,27 @@ class CameraShake:
         if since < 0:
             return 0.0
         return float(size * np.sin(2 * np.pi * frequency * since) * np.exp(-since / BUMP_DECAY_S))
+
+
+class CameraVibration:
+    """The rotation of a camera in its vehicle, as wheels and engine shake it: about each of its axes a sum of modes
+    within `VIBRATION_HZ`, of ``rms`` rad."""
+
+    def __init__(self, rng: np.random.Generator, rms: float) -> None:
+        modes = 3, VIBRATION_MODES
+        low, high = np.log(VIBRATION_HZ)
+        self.omega = 2 * np.pi * np.exp(rng.uniform(low, high, modes))
+        self.phase = rng.uniform(0, 2 * np.pi, modes)
+        weight = rng.uniform(0.5, 1.0, modes)
+        self.amplitude = np.sqrt(2) * rms * weight / np.linalg.norm(weight, axis=1, keepdims=True)
+
+    def __call__(self, t: float) -> Array:
+        """The rotation vector (3,) in camera axes, rad."""
+        return np.asarray((self.amplitude * np.sin(self.omega * t + self.phase)).sum(1))
+
+    def rate(self, t: float) -> Array:
+        """The derivative (3,) in time, rad/s."""
+        return np.asarray((self.amplitude * self.omega * np.cos(self.omega * t + self.phase)).sum(1))
 
 
 class GapProfile:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +12,16 @@ from paceline.arrays import Array, Image
 from paceline.simulation.chase import rasterizer
 from paceline.simulation.chase.motion import SmoothNoise
 from paceline.simulation.chase.projection import Faces, axis_ahead, draw_faces, face_vectors, join_faces
+from paceline.simulation.chase.scene import ChaseScene
 from paceline.simulation.chase.scenery import LANE_WIDTH_M, shade_map
 from paceline.simulation.chase.world import ChaseWorld, WorldState
 from paceline.simulation.road import POLYGON_STEP_M
 
 ROAD_AHEAD_M = 260.0  # length of road ahead that is rendered
 MAX_OBJECT_DISTANCE_M = 170.0  # of objects beside the road
+ROWS_AT_ONCE = 8  # rows that a rolling shutter exposes at one time, which is off by half of what they take at most
+
+Band = tuple[slice, WorldState]  # rows of the image, and the world as they are exposed
 
 
 class Renderer:
@@ -41,33 +47,40 @@ class Renderer:
         self.noise = np.random.default_rng([scene.seed, 29])
         self.vignette = self._vignette()
 
-    def render(self, state: WorldState) -> tuple[NDArray[np.uint8], float]:
-        """Image (H, W), and the visible share of the lead's rear plane; each call draws new noise."""
-        grey, hidden = self._render_grey(state)
+    def render(
+        self, state: WorldState, state_at: Callable[[float], WorldState] | None = None
+    ) -> tuple[NDArray[np.uint8], float]:
+        """Image (H, W), and the visible share of the lead's rear plane; each call draws new noise.
+
+        ``state_at`` gives the world at the times, s, at which a rolling shutter exposes the rows; without it all are
+        exposed with the middle one.
+        """
+        bands = [(slice(0, self.scene.image_size[1]), state)]
+        if state_at is not None and self.scene.readout:
+            bands = [(rows, state_at(state.time + later)) for rows, later in exposure_times(self.scene)]
+        grey, hidden = self._render_grey(bands, self._blur(state))
         return self._expose(grey, state.time), self._visible_share(state, hidden)
 
-    def _render_grey(self, state: WorldState) -> tuple[Image, Image | None]:
+    def _render_grey(self, bands: Sequence[Band], blur: tuple[float, float]) -> tuple[Image, Image | None]:
         """Grey levels (H, W) before the sensor, and the mask (H, W) of objects that occlude the lead, if any."""
-        camera, blur = state.camera, self._blur(state)
         width, height = self.scene.image_size
         image = np.zeros((height, width, 2), np.float32)
-        rays = camera.R.T @ np.linalg.inv(camera.K)
-        rasterizer.draw_sky(
-            image, rays, camera.heading, camera.K[0, 0], self.sky_appearance, self.skylines, self.noise_texture
-        )
-        self._paint_ground(image, rays, state)
-        objects, distance = self._roadside(state)
-        draw_faces(image, objects, self.world.atlas, camera, self.sun, self.shade, np.eye(3))
+        objects = [self._roadside(state) for _, state in bands]
+        for (band, state), (faces, _) in zip(bands, objects, strict=True):
+            self._draw_background(image[band], band.start, state, faces)
         grey = np.asarray(cv2.GaussianBlur(image[..., 0], (0, 0), blur[0], sigmaY=blur[1]), np.float32)
-        patch = self._lead_window(state, blur) if state.lead_present else None
+        patch = self._lead_window([state for _, state in bands if state.lead_present], blur)
         if patch is None:
             return grey, None
         rows, columns = patch
-        lead = self._draw_lead(state, rows, columns, blur)
-        before = objects[distance < state.gap]
+        lead = self._draw_lead(bands, rows, columns, blur)
         front = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 2), np.float32)
-        shift = np.array([[1, 0, -columns.start], [0, 1, -rows.start], [0, 0, 1.0]])
-        draw_faces(front, before, self.world.atlas, camera, self.sun, self.shade, shift)
+        for (band, state), (faces, distance) in zip(bands, objects, strict=True):
+            part = _overlap(band, rows)
+            canvas = front[part.start - rows.start : part.stop - rows.start]
+            shift = _translation(-columns.start, -part.start)
+            before = faces[distance < state.gap]
+            draw_faces(canvas, before, self.world.atlas, state.camera, self.sun, self.shade, shift)
         front = np.asarray(cv2.GaussianBlur(front, (0, 0), blur[0], sigmaY=blur[1]), np.float32)
         # front over lead over backdrop, where the backdrop already has the front over it
         under = grey[rows, columns] * (1 - lead[..., 1]) + lead[..., 1] * front[..., 0]
@@ -81,6 +94,16 @@ class Renderer:
         sweep = np.array(state.image_motion) * self.scene.focal * self.scene.shutter_s
         x, y = np.sqrt(self.scene.blur_sigma**2 + sweep**2 / 12)
         return float(x), float(y)
+
+    def _draw_background(self, image: Image, row: int, state: WorldState, objects: Faces) -> None:
+        """Draws sky, ground and ``objects`` into ``image`` (h, W, 2), the rows of the picture from ``row`` on."""
+        camera = state.camera
+        rays = camera.R.T @ np.linalg.inv(camera.K) @ _translation(0, row)
+        rasterizer.draw_sky(
+            image, rays, camera.heading, camera.K[0, 0], self.sky_appearance, self.skylines, self.noise_texture
+        )
+        self._paint_ground(image, rays, state)
+        draw_faces(image, objects, self.world.atlas, camera, self.sun, self.shade, _translation(0, -row))
 
     def _paint_ground(self, image: Image, rays: Array, state: WorldState) -> None:
         camera, chase = state.camera, state.chase
@@ -109,31 +132,39 @@ class Renderer:
         order = np.argsort(-distance, kind="stable")
         return objects[order], distance[order]
 
-    def _lead_window(self, state: WorldState, blur: tuple[float, float]) -> tuple[slice, slice] | None:
+    def _lead_window(self, states: Sequence[WorldState], blur: tuple[float, float]) -> tuple[slice, slice] | None:
         """Rows and columns of the image that the lead may touch; None where it is out of the image."""
-        vectors = face_vectors(self.world.lead_faces(state), state.camera)
-        steps = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1.0]])
-        corners = state.camera.to_camera(steps @ vectors).reshape(-1, 3) @ state.camera.K.T
-        pixels = corners[:, :2] / corners[:, 2:]
+        if not states:
+            return None
+        pixels = np.concatenate([self._lead_corners(state) for state in states])
         pad = 3 + int(np.ceil(4 * max(blur)))
         low = np.maximum(np.floor(pixels.min(0)).astype(int) - pad, 0)
         high = np.minimum(np.ceil(pixels.max(0)).astype(int) + pad + 1, self.scene.image_size)
         return None if (low >= high).any() else (slice(low[1], high[1]), slice(low[0], high[0]))
 
-    def _draw_lead(self, state: WorldState, rows: slice, columns: slice, blur: tuple[float, float]) -> Image:
+    def _lead_corners(self, state: WorldState) -> Array:
+        """The corners (N, 2) px of all faces of the lead."""
+        vectors = face_vectors(self.world.lead_faces(state), state.camera)
+        steps = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1.0]])
+        corners = state.camera.to_camera(steps @ vectors).reshape(-1, 3) @ state.camera.K.T
+        return np.asarray(corners[:, :2] / corners[:, 2:])
+
+    def _draw_lead(self, bands: Sequence[Band], rows: slice, columns: slice, blur: tuple[float, float]) -> Image:
         """Premultiplied grey and coverage (h, w, 2) of the lead."""
         size = columns.stop - columns.start, rows.stop - rows.start
         n = int(np.clip(round(240 / size[0]), 2, 4))
         canvas = np.zeros((size[1] * n, size[0] * n, 2), np.float32)
-        # The centre of sub-pixel p lies at (p + 0.5) / n - 0.5 in the patch.
-        start = np.array([columns.start, rows.start])
-        to_canvas = np.array([[n, 0, 0], [0, n, 0], [0, 0, 1.0]])
-        to_canvas[:2, 2] = n * (0.5 - start) - 0.5
-        faces = self.world.lead_faces(state)
         painted = len(self.world.body.faces)
-        arguments = (self.world.atlas, state.camera, self.sun, self.shade, to_canvas)
-        draw_faces(canvas, faces[:painted], *arguments)
-        draw_faces(canvas, faces[painted:], *arguments, emission=2.2 if state.braking else 0.0)
+        for band, state in bands:
+            part = _overlap(band, rows)
+            strip = canvas[n * (part.start - rows.start) : n * (part.stop - rows.start)]
+            # The centre of sub-pixel p lies at (p + 0.5) / n - 0.5 in the strip.
+            to_strip = np.array([[n, 0, 0], [0, n, 0], [0, 0, 1.0]])
+            to_strip[:2, 2] = n * (0.5 - np.array([columns.start, part.start])) - 0.5
+            faces = self.world.lead_faces(state)
+            arguments = (self.world.atlas, state.camera, self.sun, self.shade, to_strip)
+            draw_faces(strip, faces[:painted], *arguments)
+            draw_faces(strip, faces[painted:], *arguments, emission=2.2 if state.braking else 0.0)
         canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), blur[0] * n, sigmaY=blur[1] * n), np.float32)
         return np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), np.float32)
 
@@ -159,6 +190,24 @@ class Renderer:
         mask = np.zeros(hidden.shape, np.float32)
         cv2.fillConvexPoly(mask, np.round(state.corners * 16).astype(np.int32), 1.0, cv2.LINE_AA, 4)
         return float(min((mask * (1 - np.minimum(hidden, 1))).sum() / area, 1.0))
+
+
+def exposure_times(scene: ChaseScene) -> list[tuple[slice, float]]:
+    """The rows that a rolling shutter exposes together, from the top down, and how long after the frame's time, s."""
+    height = scene.image_size[1]
+    bands = [slice(row, min(row + ROWS_AT_ONCE, height)) for row in range(0, height, ROWS_AT_ONCE)]
+    return [(band, scene.readout * (0.5 * (band.start + band.stop - 1) / (height - 1) - 0.5)) for band in bands]
+
+
+def _overlap(band: slice, rows: slice) -> slice:
+    """The part of ``rows`` that lies in a ``band``; empty where there is none."""
+    start = min(max(band.start, rows.start), rows.stop)
+    return slice(start, max(start, min(band.stop, rows.stop)))
+
+
+def _translation(right: float, down: float) -> Array:
+    """(3, 3): a shift of pixels."""
+    return np.array([[1.0, 0.0, right], [0.0, 1.0, down], [0.0, 0.0, 1.0]])
 
 
 def _draw_skylines(rng: np.random.Generator) -> Array:

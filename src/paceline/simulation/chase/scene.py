@@ -48,7 +48,9 @@ class ChaseScene:
     ``radius`` (m). The lead is one of `RASTERIZED_KINDS`, painted in the grey level ``paint``; its rear plane keeps
     within ``gap`` (m) of the camera, weaves by up to ``weave`` (m) and is turned by ``yaw`` to the left of its path.
     The camera shakes: with 300 px of focal length and at 15 Hz the image moves up and down by about half of
-    ``shake_px`` RMS from frame to frame, and by twice of it over bumps.
+    ``shake_px`` RMS from frame to frame, and by twice of it over bumps. Besides, it vibrates in its vehicle with
+    ``vibration`` (rad RMS) about each of its axes, which the odometry does not tell; ``readout`` (s) is the time from
+    the first row's exposure to the last one's, a frame's time being its middle row's, and 0 for all rows at once.
 
     ``object_density`` is the number of objects beside the road (about 1: a busy street), ``parallel_share`` (0–1) the
     share of objects whose edges are parallel and close to the lead's; ``shadows`` is the density of shadows on the
@@ -73,6 +75,8 @@ class ChaseScene:
     weave: float = 0.7
     yaw: float = 0.0
     shake_px: float = 4.0
+    vibration: float = 0.0
+    readout: float = 0.0
     object_density: float = 1.0
     parallel_share: float = 0.2
     shadows: float = 0.7

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
-from paceline.simulation.chase.motion import CameraShake, GapProfile, SmoothNoise, road_pose, winding_road
+from paceline.simulation.chase.motion import (
+    CameraShake,
+    CameraVibration,
+    GapProfile,
+    SmoothNoise,
+    road_pose,
+    winding_road,
+)
 from paceline.simulation.chase.projection import CameraPose, camera_rotation
 from paceline.simulation.chase.scene import ChaseScene
 from paceline.simulation.chase.world import ChaseWorld, WorldState
@@ -29,6 +37,7 @@ class ChaseScript:
             CameraShake(rng, 0.004 * scene.shake_px / 4),
             CameraShake(rng, 0.02 * scene.shake_px / 4),
         )
+        self.vibration = CameraVibration(np.random.default_rng([scene.seed, 67]), scene.vibration)
         self.lead_roll, self.lead_lift = SmoothNoise(rng, 0.8, 4.0), SmoothNoise(rng, 0.5, 3.0)
         self.world = ChaseWorld(scene, self.road, SCRIPT_START_ARC_M, self.arc, rng)
 
@@ -47,13 +56,14 @@ class ChaseScript:
         )
         camera = CameraPose(
             scene.camera.K,
-            camera_rotation(scene.tilt + self.pitch_shake(t), self.roll_shake(t)),
+            cv2.Rodrigues(self.vibration(t))[0] @ camera_rotation(scene.tilt + self.pitch_shake(t), self.roll_shake(t)),
             scene.camera_height + self.heave_shake(t),
             chase.x,
             chase.y,
             chase.heading + self.yaw_shake(t),
         )
         later = 0.25 * scene.top_speed * self.speed.rate(t) + (self.gap(t + 0.05)[1] - closing) / 0.05
+        nodding, turning, _ = self.vibration.rate(t)
         return self.world.state_at(
             t,
             camera,
@@ -61,6 +71,6 @@ class ChaseScript:
             replace(lead, heading=lead.heading + scene.yaw),
             lead_roll=0.008 * self.lead_roll(t),
             lead_lift=0.015 * self.lead_lift(t),
-            image_motion=(self.yaw_shake.rate(t), self.pitch_shake.rate(t)),
+            image_motion=(self.yaw_shake.rate(t) + turning, -self.pitch_shake.rate(t) - nodding),
             braking=scene.brakes and later < -0.5,
         )
