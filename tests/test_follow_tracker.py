@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from selection import slow_after
 
-from paceline.cameras import Camera
+from paceline.cameras import Camera, Quantity
 from paceline.errors import UnusableInput
 from paceline.follow import association, candidates, edges_cpu, fitting, motion, picture_cpu, recognition, search_cpu
 from paceline.follow.configuration import FollowConfiguration
@@ -116,6 +116,22 @@ def errors(estimates, positions):
 @pytest.fixture(scope="module")
 def clip():
     return film()
+
+
+def test_heights_that_a_rolling_shutter_stretches_do_not_change_the_range(clip):
+    """A camera of which it is known that all rows are read at once takes them for a change of size."""
+    images, positions = clip
+    stretches = np.random.default_rng(7).normal(0, 0.009, len(images))
+    shaken = [
+        cv2.warpAffine(image, np.array([[1, 0, 0], [0, 1 + k, -k * K[1, 2]]]), image.shape[::-1], flags=cv2.INTER_CUBIC)
+        for image, k in zip(images, stretches, strict=True)
+    ]
+    rolling, at_once = (
+        follow(begin(positions[0], replace(CAMERA, readout=Quantity(readout))), shaken) for readout in (0.02, 0.0)
+    )
+    assert [e.status for e in rolling] == ["tracking"] * len(images)
+    spread = [np.diff(errors(estimates, positions)[0][10:]).std() for estimates in (rolling, at_once)]
+    assert spread[0] < 0.6 * spread[1]
 
 
 @pytest.mark.parametrize("seed", slow_after(1, [0, 1, 2]))
@@ -646,7 +662,7 @@ def test_where_less_shows_than_usual_lines_are_looked_for_farther_away(
     }
     monkeypatch.setattr(recogniser, "_measured_with", lambda signs, image, start, near, *rest: looks[near[0]])
     monkeypatch.setattr(recogniser, "_thought_of", lambda measurement, image, start, near, *rest: looks[near[0]])
-    measure = SimpleNamespace(measure=lambda image, start, near, signs: (looks[near[0]].measurement, (0, 0, 0, 0)))
+    measure = SimpleNamespace(measure=lambda image, start, near, *rest: (looks[near[0]].measurement, (0, 0, 0, 0)))
     monkeypatch.setattr(recogniser, "_measurer", measure)
     told = list(likeness)
     monkeypatch.setattr(recogniser.appearance, "likeness", lambda: told.pop(0))
@@ -687,7 +703,7 @@ def test_lines_of_either_sign_are_believed_where_nearly_all_show_and_clearly_mor
     monkeypatch.setattr(recogniser, "_measured_with", lambda *given: signed)
     monkeypatch.setattr(recogniser, "_thought_of", lambda *given: either)
     asked = []
-    measure = lambda image, start, near, signs: (asked.append(signs), (either.measurement, (0, 0, 0, 0)))[1]  # noqa: E731
+    measure = lambda *given: (asked.append(given[3]), (either.measurement, (0, 0, 0, 0)))[1]  # noqa: E731
     monkeypatch.setattr(recogniser, "_measurer", SimpleNamespace(measure=measure))
     assert recogniser._measured(images[20], there, near, Foreseen(there, near)) is (either if taken else signed)
     assert not any(signs.any() for signs in asked)
@@ -720,7 +736,7 @@ def test_where_lamps_are_switched_the_model_may_be_where_the_search_saw_it_less_
     )
     asked, told = [], list(likeness)
 
-    def measure(image, start, near, signs):
+    def measure(image, start, near, signs, aspect):
         asked.append((start, signs))
         return found.measurement, (0, 0, 0, 0)
 

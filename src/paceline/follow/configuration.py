@@ -26,6 +26,7 @@ class FollowConfiguration(BaseModel):
     competing_lines: bool = True  # several candidate lines per feature, robustly fitted
     faint_lines: bool = True  # features too faint for edge points, by the mean profile across them
     foreshortening: bool = True  # a target at an angle looks narrower
+    rolling_shutter: bool = True  # the readout stretches heights while a vibrating camera nods
     adaptive_decay: bool = True  # two decays per parameter, weighed by how well they predicted of late
     probation: bool = True  # follow other places in which the model may lie, until one stands out
     appearance: bool = True  # learn what the target looks like, and do not believe what looks otherwise
@@ -76,6 +77,7 @@ class FollowConfiguration(BaseModel):
             competing_lines=False,
             faint_lines=False,
             foreshortening=False,
+            rolling_shutter=False,
             adaptive_decay=False,
             probation=False,
             appearance=False,

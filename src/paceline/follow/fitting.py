@@ -199,6 +199,33 @@ def _locate(
     return True, x, inverse @ inverse.T * inflation, np.sqrt(confidences / max(J, CONSISTENT)), J, residuals
 
 
+@cached_njit(nogil=True, error_model="numpy")
+def height_over_width(places: Array, weights: Array, vertical: Mask, offsets: Array) -> tuple[float, float]:
+    """The target's height over its width, over the model's, by its features as in `locate`, and the variance of that; 0
+    with an infinite variance where they do not tell both."""
+    ratio, variance = 1.0, 0.0
+    for upright in (True, False):
+        total, middle, place = 0.0, 0.0, 0.0
+        for j in range(len(places)):
+            if vertical[j] == upright and weights[j] > 0.0:
+                w = weights[j] ** 2
+                total += w
+                middle += w * offsets[j]
+                place += w * places[j]
+        along, spread = 0.0, 0.0
+        for j in range(len(places)):
+            if vertical[j] == upright and weights[j] > 0.0:
+                w, off = weights[j] ** 2, offsets[j] - middle / total
+                along += w * off * (places[j] - place / total)
+                spread += w * off * off
+        if spread <= 0.0 or along <= 0.0:
+            return 0.0, np.inf
+        scale = along / spread
+        ratio = ratio / scale if upright else ratio * scale
+        variance += 1.0 / (spread * scale * scale)
+    return ratio, variance
+
+
 def locate(
     places: Array,
     weights: Array,

@@ -9,13 +9,16 @@ import numpy as np
 
 from paceline.arrays import Array, Bytes, Indices, Mask
 from paceline.follow import fitting, measuring_cpu
+from paceline.follow.aspect import Aspect
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import EdgeExtractor, EdgeLists, Window, window_around
 from paceline.follow.features import Features, Projection
 from paceline.follow.fitting import Fit
+from paceline.follow.readout import stretch_deviation
 
 FINEST = 0.8  # px: how far an edge point may be from its line, and at a close look
 FINE = 0.008  # the same as a share of the target's size
+UNKNOWN_ASPECT = Aspect()
 CREDIBLE = 3.0  # times as large or as small as expected, it is something else
 
 
@@ -32,6 +35,8 @@ class Measurement:
     match: float  # how much of the model shows, 0 to 1, of what the image can show
     support: float  # share of the length of its lines that agree, as well
     agreeing: Mask  # (S,): the features that lie where the model has them
+    stretch: float = 0.0  # of its height by the image's readout, relative
+    aspect: Aspect = UNKNOWN_ASPECT  # with what the image has told of it
 
 
 class Measurer:
@@ -41,14 +46,18 @@ class Measurer:
         self._projection, self._c = projection, configuration
         self._vertical = projection.target.vertical
         self._magnification = float(projection.magnification.mean())
+        self._stretch_deviation = stretch_deviation(projection.camera) if configuration.rolling_shutter else 0.0
         self._edges = EdgeExtractor(projection.camera.image_size, configuration)
         self._owners = np.empty((2, self._edges.capacity), np.int64)
 
-    def measure(self, image: Bytes, start: Array, doubt: Array, brighter: Indices) -> tuple[Measurement | None, Window]:
+    def measure(
+        self, image: Bytes, start: Array, doubt: Array, brighter: Indices, aspect: Aspect = UNKNOWN_ASPECT
+    ) -> tuple[Measurement | None, Window]:
         """The target in ``image`` (H, W) about ``start`` (3,), known to within ``doubt`` (3,), and the window that was
         looked at; None where its features do not tell where it is.
 
-        A feature whose ``brighter`` (S,) is 1 or −1 takes only edges with a step of this sign.
+        A feature whose ``brighter`` (S,) is 1 or −1 takes only edges with a step of this sign. By its ``aspect`` it is
+        told how the readout has stretched the image.
         """
         c, projection = self._c, self._projection
         size = projection.size(start[2])
@@ -60,7 +69,7 @@ class Measurer:
         half = 0.5 * projection.target.size * projection.magnification * start[2] + gate + 2.0
         window = window_around(projection.camera.distort_points(start[:2]), half, projection.camera.image_size)
         edges = self._edges.extract(image, window)  # stage 1
-        x, fit, start_doubt = start, None, doubt
+        x, fit, start_doubt, stretch, learned = start, None, doubt, 0.0, aspect
         for reach in (gate, min(gate, 3.0 * breadth)) if c.competing_lines else (gate,):
             features = projection.features(x)  # stage 7
             tolerance = self._tolerance(x)
@@ -69,9 +78,11 @@ class Measurer:
             )
             turned = fitting.TURNED if c.foreshortening else 0.0
             center = np.column_stack([start, start_doubt])[:2] if c.competing_lines else fitting.UNKNOWN
-            fit = fitting.locate(
-                places - features.shifts, weights, self._vertical, projection.offsets, x[2], turned, center
-            )  # stage 4
+            straight = places - features.shifts
+            ratio = fitting.height_over_width(straight, weights, self._vertical, projection.offsets)
+            stretch, learned = aspect.learned(*ratio, self._stretch_deviation)
+            offsets = np.where(self._vertical, 1.0, 1.0 + stretch) * projection.offsets
+            fit = fitting.locate(straight, weights, self._vertical, offsets, x[2], turned, center)  # stage 4
             if fit is None or not 1 / CREDIBLE < fit.location[2] / start[2] < CREDIBLE:
                 return None, window
             x, doubt = fit.location, np.minimum(doubt, 0.5 * breadth)
@@ -82,7 +93,7 @@ class Measurer:
         allowed = np.sqrt(breadth**2 + tolerance)
         shown = measuring_cpu.in_view(self._vertical, features.places, features.spans, *projection.camera.image_size)
         told = measuring_cpu.agreement(fit.offsets, fit.used, allowed, shares, features.lengths, shown)
-        return Measurement(fit, points, owners, *told), window
+        return Measurement(fit, points, owners, *told, stretch, learned), window
 
     def _places(
         self,

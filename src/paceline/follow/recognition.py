@@ -13,6 +13,7 @@ import numpy as np
 from paceline.arrays import Array, Bytes, Indices
 from paceline.follow import fitting
 from paceline.follow.appearance import INSIDE, PICTURE_RATE, Appearance
+from paceline.follow.aspect import Aspect
 from paceline.follow.carrying import Carried
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.edges import Window
@@ -93,7 +94,7 @@ class Recogniser:
         self._turn = 0
         self._either = np.zeros(len(self.projection.offsets), np.int64)  # which side is brighter is not known
         self.appearance = Appearance(target)
-        self.gauge = Gauge()
+        self.gauge, self.aspect = Gauge(), Aspect()
         self._memory = Memory(projection, self._search.usual)
 
     def look(self, image: Bytes, expected: Array, doubt: Array, tau: float, lost: bool) -> Look:
@@ -152,7 +153,7 @@ class Recogniser:
         scratch."""
         other = copy(self)
         other._proven, other._held_for = 0, 0
-        other.appearance, other.gauge = Appearance(self.projection.target), Gauge()
+        other.appearance, other.gauge, other.aspect = Appearance(self.projection.target), Gauge(), Aspect()
         other._memory = self._memory.afresh()
         return other
 
@@ -201,6 +202,8 @@ class Recogniser:
         self._held_for = self._held_for + 1 if look.measurement is None else 0
         if look.gauge is not None:
             self.gauge = look.gauge
+        if look.measurement is not None:
+            self.aspect = look.measurement.aspect
         self._proven += look.measurement is not None
         if look.slid:
             self.appearance.restore()
@@ -254,7 +257,7 @@ class Recogniser:
             far = np.abs(start - look.fit.location)[:2].max() / self.projection.size(start[2])
             if foreseen.tau >= GONE and far > ASIDE:
                 continue
-            more, searched = self._measurer.measure(image, start, near, self._either)
+            more, searched = self._measure(image, start, near, self._either, foreseen)
             found = self._better(look, more, image, start, near, foreseen, sighting.window or searched, least)
             if found is not None:
                 return found
@@ -327,7 +330,7 @@ class Recogniser:
             # where some are hidden others farther away may fit, say a lorry's ribs, at a size at which it looks
             # otherwise.
             least = self.appearance.likeness() if self._c.appearance else -1.0
-            more, window = self._measurer.measure(image, start, WIDER * near, brighter)
+            more, window = self._measure(image, start, WIDER * near, brighter, foreseen)
             look = self._better(look, more, image, start, WIDER * near, foreseen, searched or window, least) or look
         # Lamps that are switched on or off are brighter than what is about them, or darker, from one image to the next,
         # and so are light sides before the sky where a shadow falls on them. Where the image cuts off the outline a
@@ -336,17 +339,23 @@ class Recogniser:
             other = self._measured_with(self._either, image, start, near, foreseen, searched)
             return look if other.complaint or other.inside < INSIDE else other
         if look.complaint in (APART, UNLIKE) and brighter.any() and look.inside >= INSIDE:
-            more, window = self._measurer.measure(image, start, near, self._either)
+            more, window = self._measure(image, start, near, self._either, foreseen)
             if more is not None and more.support >= NEARLY_ALL:
                 least = self.appearance.likeness() - AS_ALIKE
                 return self._better(look, more, image, start, near, foreseen, searched or window, least) or look
         return look
 
+    def _measure(
+        self, image: Bytes, start: Array, near: Array, brighter: Indices, foreseen: Foreseen
+    ) -> tuple[Measurement | None, Window]:
+        """`Measurer.measure` with what is known of the target's aspect."""
+        return self._measurer.measure(image, start, near, brighter, self.aspect.aged(foreseen.tau))
+
     def _measured_with(
         self, brighter: Indices, image: Bytes, start: Array, near: Array, foreseen: Foreseen, searched: Window | None
     ) -> Look:
         """The same with only such edges of a feature as have the sign ``brighter`` (S,), where that is not 0."""
-        measurement, window = self._measurer.measure(image, start, near, brighter)
+        measurement, window = self._measure(image, start, near, brighter, foreseen)
         if measurement is None:
             return Look(FEW, searched or window)
         return self._thought_of(measurement, image, start, near, foreseen, searched or window)
@@ -363,7 +372,9 @@ class Recogniser:
         shown = self.projection.shown(fit.location)
         if not c.wide_search and not self._search.open_at(image, shown.location):
             return Look(OUTSIDE, window, fit, measurement)
-        steadied, gauge = self._steadied(fit, shown, float(start[2]), foreseen.tau + self._held_for)
+        steadied, gauge = self._steadied(
+            fit, shown, float(start[2]), foreseen.tau + self._held_for, measurement.stretch
+        )
         inside, evidence = self._evidence_at(steadied.location)
         picture = self.appearance.likeness() if c.appearance and inside > 0.5 else 0.0
         found = Found(measurement, fit, picture, self._usual_share(measurement), self._is_proven)
@@ -371,12 +382,12 @@ class Recogniser:
         fit = fit if complaint else steadied
         return Look(complaint, window, fit, measurement, inside, evidence, clear, sure=sure, gauge=gauge)
 
-    def _steadied(self, fit: Fit, shown: Shown, guess: float, tau: float) -> tuple[Fit, Gauge | None]:
+    def _steadied(self, fit: Fit, shown: Shown, guess: float, tau: float, stretch: float) -> tuple[Fit, Gauge | None]:
         """The ``fit`` with its scale by the picture, and what that is worth now; as it is where the picture is not
         known or not found."""
         if not (self._c.steady_scale and self._c.appearance and self.appearance.known):
             return fit, None
-        picture = self._search.scale_at(shown.location[:2], guess, self.appearance)
+        picture = self._search.scale_at(shown.location[:2], guess, self.appearance, stretch)
         if picture is None:
             return fit, None
         scale, gauge = self.gauge.set(float(fit.location[2]), picture, tau)

@@ -245,10 +245,12 @@ class Search:
         center, m = self._respond(location, shifts)
         return appearance.look(self._pooled_view, center, m), self._evidence.copy()
 
-    def scale_at(self, center: Array, guess: float, appearance: Appearance) -> float | None:
-        """`Appearance.scale_at` in the part of the image searched last, for a ``center`` (2,) in recorded pixels."""
+    def scale_at(self, center: Array, guess: float, appearance: Appearance, stretch: float = 0.0) -> float | None:
+        """`Appearance.scale_at` in the part of the image searched last, for a ``center`` (2,) in recorded pixels.
+        By ``stretch``, relative, the readout has made heights larger."""
         place = np.array([*(center - self._origin) / self._side, guess])
-        return appearance.scale_at(self._pooled_view, place, self._magnification / self._side)
+        magnification = self._magnification * np.array([1.0, 1.0 + stretch])
+        return appearance.scale_at(self._pooled_view, place, magnification / self._side)
 
     def went_from(self, location: Array, appearance: Appearance) -> Sighting | None:
         """`Appearance.went_from` in the part of the image searched last, for a ``location`` (3,) in recorded pixels."""

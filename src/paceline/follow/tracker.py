@@ -22,6 +22,7 @@ from paceline.follow.origin import CAME, Origin
 from paceline.follow.pace import DRIVES, Pace
 from paceline.follow.probation import Probation
 from paceline.follow.ranging import place_of
+from paceline.follow.readout import displacement_deviation
 from paceline.follow.recognition import Look, Recogniser
 from paceline.follow.results import FollowEstimate
 from paceline.path_following.pure_pursuit import Steering
@@ -178,6 +179,9 @@ class FollowTracker:
             location, covariance = fit.location, fit.covariance
         else:
             location, covariance = expected, np.diag(doubt**2 + self.lock.foregone**2)
+        if self.configuration.rolling_shutter:
+            displacement = displacement_deviation(self.camera, float(location[1]))
+            covariance = covariance + np.diag([displacement**2, displacement**2, 0.0])
         m = look.measurement if measured else None
         tolerance = max(self.configuration.model_tolerance, self.target.tolerance)
         width = float(self.target.size[0])
