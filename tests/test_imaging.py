@@ -169,7 +169,7 @@ def test_static_points_correct_what_shows_of_a_wrong_calibration(rig):
     before = np.abs(epipolar_distance(wrong, static.left, static.right))
     after = np.abs(epipolar_distance(fit.rig, static.left, static.right))
     assert np.median(before) > 0.3 and np.median(after) < 0.08
-    assert fit.epipolar_px == pytest.approx(np.sqrt((before**2).mean()), rel=0.15)
+    assert fit.epipolar_px.value == pytest.approx(np.sqrt((before**2).mean()), rel=0.15)
     assert residual_std(fit.rig, static) < 0.1 * residual_std(wrong, static)
     assert fit.rig.uncertainty.covariance[9, 9] == pytest.approx((5e-5) ** 2, rel=0.1)  # a turn along the baseline
     assert abs(fit.offset.value - 0.004) < 4 * fit.offset.std

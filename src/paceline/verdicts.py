@@ -283,6 +283,16 @@ _WARNING_ROWS = {
     "baseline_interval": ("a baseline: the interval comes from scatter alone and holds no systematic part", ""),
     "vehicle_not_measured": ("a vehicle on {path} from {start:.2f} to {end:.2f} s is not measured: {reason}", ""),
     "views_skewed": ("{frames} are taken {skew}", _SYNCHRONISE_ADVICE),
+    "views_not_simultaneous": (
+        "right frames are exposed {offset_ms:+.1f} ± {std_ms:.1f} ms after the left ones, by what moves in them, which "
+        "is allowed for",
+        "Trigger both cameras in hardware, or state `offset` in clip.yaml.",
+    ),
+    "calibration_stale": (
+        "static points are {epipolar_px:.1f} px off their epipolar lines, {shift:.1f} standard deviations of the "
+        "calibration, which is corrected for as far as it shows",
+        "`paceline rig check` says how the cameras have moved; calibrate anew.",
+    ),
     "no_common_clock": (
         "no common clock: frames that come together are taken as exposed together",
         _SYNCHRONISE_ADVICE,

@@ -42,7 +42,7 @@ class EpipolarFit:
 
     rig: StereoRig
     rig_shift_sigma: float
-    epipolar_px: float
+    epipolar_px: Quantity
     offset: Quantity | None
 
 
@@ -77,7 +77,10 @@ def fit_epipolar_residuals(
         x = np.asarray(np.linalg.solve(information, of_matches @ residual), float)
     covariance = np.linalg.inv(information)
     explained = X[: len(static.left), :Q] @ x[:Q]
-    epipolar_px = float(np.sqrt((explained**2).mean())) if len(explained) else 0.0
+    by_static = X[: len(static.left), :Q]
+    spread = np.einsum("ni,ij,nj->n", by_static, covariance[:Q, :Q], by_static)
+    rms = [float(np.sqrt(values.mean())) if len(values) else 0.0 for values in (explained**2, spread)]
+    epipolar_px = Quantity(rms[0], rms[1], "estimated")
     corrected = rig
     if rig.uncertainty is not None:
         remaining = replace(rig.uncertainty, covariance=root.T @ covariance[:Q, :Q] @ root)

@@ -20,9 +20,12 @@ from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
 from paceline.imaging.feature_matches import match_views
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
+from paceline.verdicts import Message, message
 
 # Readout of a camera whose shutter nothing is said of: of ordinary rolling shutters it is 8 to 30 ms, of global ones 0
 READOUT_STD_S = 0.012
+MIN_OFFSET_SIGMA = 3.0  # standard deviations at which an offset between the views is reported
+MAX_RIG_SHIFT_SIGMA = 4.0  # prior standard deviations (Mahalanobis distance) at which a calibration is called stale
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +50,18 @@ class RecordedCameras:
         camera = self.recording.rig.cameras[side]
         return camera.turned(pixels, vectors.reshape(len(frame), *(1,) * (pixels.ndim - 2), 3))
 
+    @property
+    def notices(self) -> list[Message]:
+        """What a user should know about the cameras."""
+        notices, offset = [], self.clip.offset
+        if self.fit.rig_shift_sigma > MAX_RIG_SHIFT_SIGMA:
+            notices.append(
+                message("calibration_stale", epipolar_px=self.fit.epipolar_px.value, shift=self.fit.rig_shift_sigma)
+            )
+        if offset is not None and offset.source == "estimated" and abs(offset.value) > MIN_OFFSET_SIGMA * offset.std:
+            notices.append(message("views_not_simultaneous", offset_ms=1e3 * offset.value, std_ms=1e3 * offset.std))
+        return notices
+
     def summary(self) -> dict[str, Any]:
         """What was estimated of both cameras beside the exposures, as in summary.json."""
         rig, rotations = self.clip.rig, self.recording.rotations
@@ -56,7 +71,7 @@ class RecordedCameras:
             views[name] = {"sway_px_rms": float(np.sqrt((moved**2).sum(-1).mean()))}
         return {
             **views,
-            "epipolar_px": self.fit.epipolar_px,
+            "epipolar_px": {"value": self.fit.epipolar_px.value, "std": self.fit.epipolar_px.std},
             "assumed": ["rig"] if rig.uncertainty is not None and rig.uncertainty.is_assumed else [],
         }
 

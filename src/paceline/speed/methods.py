@@ -131,6 +131,7 @@ def measure_as_seen(
     return replace(
         result,
         measurements=measurements,
+        notices=[*result.notices, *seen.notices],
         configuration=named(method) | result.configuration,
         cameras=camera_summary(seen, result.exposures),
     )
