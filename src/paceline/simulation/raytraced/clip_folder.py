@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import av
 import cv2
 import numpy as np
 import yaml
@@ -16,13 +14,12 @@ from numpy.typing import NDArray
 
 from paceline.errors import UnusableInput
 from paceline.simulation.raytraced.scene_yaml import SceneModel
+from paceline.simulation.video import write_h264
 from paceline.version import __version__
 
 Picture = NDArray[np.uint8]
 
 STATE_FILE = "rendering.json"
-TICKS_PER_SECOND = 90000  # per second, of a video's time stamps
-TIME_BASE = Fraction(1, TICKS_PER_SECOND)
 
 
 def open_folder(directory: Path, scene: SceneModel, variant: str) -> None:
@@ -67,22 +64,11 @@ def write_yaml(path: Path, document: dict[str, Any]) -> None:
 
 def write_video(path: Path, pictures: list[Path], times: list[float], quality: int) -> None:
     """Writes ``pictures`` as H.264 with their ``times`` (s) as time stamps; ``quality`` 100 is nearly free of loss."""
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    height, width = _read_image(pictures[0]).shape[:2]
-    with av.open(str(partial), "w") as container:
-        stream = container.add_stream("libx264", rate=round(len(times) / max(times[-1] - times[0], 1e-3)) or 1)
-        stream.width, stream.height, stream.pix_fmt = width - width % 2, height - height % 2, "yuv420p"
-        stream.time_base = stream.codec_context.time_base = TIME_BASE
-        stream.options = {"crf": str(round(0.51 * (100 - quality))), "preset": "medium"}
-        for picture, time in zip(pictures, times, strict=True):
-            frame = av.VideoFrame.from_ndarray(_read_image(picture), format="bgr24")
-            frame.pts, frame.time_base = round((time - times[0]) * TICKS_PER_SECOND), TIME_BASE
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-    os.replace(partial, path)
+    write_h264(path, map(read_picture, pictures), times, round(0.51 * (100 - quality)))
 
 
-def _read_image(path: Path) -> Picture:
+def read_picture(path: Path) -> Picture:
+    """A picture (H, W, 3), blue, green, red, that `write_picture` wrote."""
     return np.asarray(cv2.imread(str(path), cv2.IMREAD_COLOR), np.uint8)
 
 

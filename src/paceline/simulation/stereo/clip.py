@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ from paceline.cameras import PosedCamera, StereoRig
 from paceline.documents.assumed_calibration import without_statements
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation import textures
+from paceline.simulation.camera_errors import MovingViews, dirt_transmission, row_bands
 from paceline.simulation.operator import add_drawing_noise, draw_line, is_inside_image
 from paceline.simulation.stereo.scene import (
     PLANE_CLEARANCE_M,
@@ -38,6 +41,7 @@ from paceline.simulation.stereo.scene import (
 from paceline.simulation.stereo.scenery import StaticBackground, make_occluder
 from paceline.simulation.stereo.textured_planes import TexturedPlane, composite, draw_planes
 from paceline.simulation.textures import FacePart, Texture
+from paceline.simulation.video import write_h264
 
 __all__ = [
     "RenderedClip",
@@ -55,8 +59,9 @@ SCENE_SUBPIXELS_PER_SIDE = 4
 
 @dataclass(frozen=True, eq=False)
 class RenderedClip:
-    """A rendered clip: pictures (H, W) uint8 of the left and the right camera, their times in seconds, the exact rig,
-    the contents of clip.yaml and of truth.json."""
+    """A rendered clip: pictures (H, W) uint8 of the left and the right camera, their times in seconds, the rig, the
+    contents of clip.yaml and of truth.json. Times and rig are those stated, exact but for ``scene.errors``; pictures
+    are uncompressed, and `write` keeps them as `StereoErrors.crf` says."""
 
     left: list[NDArray[np.uint8]]
     right: list[NDArray[np.uint8]]
@@ -65,32 +70,38 @@ class RenderedClip:
     rig: StereoRig
     clip: dict[str, Any]
     truth: list[dict[str, Any]]
+    crf: int | None = None
 
 
 class World:
     """A scene with everything about it that is known before any picture is drawn.
 
-    ``poses[view][vehicle][frame]`` are the vehicles' planes; ``rig``, ``clip`` and ``truth`` as in `RenderedClip`.
+    ``poses[view][vehicle][frame]`` are the vehicles' planes when each camera exposes; ``clocks`` are the stated times
+    of the pictures and ``times`` the true ones (F,) s; ``views`` are the cameras at rest and ``moving`` the same as they
+    move; ``rig``, ``clip`` and ``truth`` as in `RenderedClip`.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.road, self.rig = scene, PlacedRoad(scene), make_rig(scene)
-        self.views = rig_views(self.rig)
-        times = np.array([k for k in range(scene.frames) if k not in scene.dropped]) / scene.rate
-        self.clocks = times, times + scene.skew_s
+        self.views = rig_views(scene.errors.true_rig(self.rig))
+        self.moving = MovingViews(self.views, scene.errors, scene.rate, scene.seed)
+        ticks = np.array([k for k in range(scene.frames) if k not in scene.dropped]) / scene.rate
+        self.clocks = ticks, ticks + scene.skew_s
+        self.times = scene.errors.exposure_times(self.clocks)
         duration = (scene.frames - 1) / scene.rate + abs(scene.skew_s)
-        self.motions = [Motion(self.road, v, duration) for v in scene.vehicles]
-        self.poses = [[[m.pose(float(t)) for t in clock] for m in self.motions] for clock in self.clocks]
+        margin = 0.1 + float(np.abs(self.times[1] - self.clocks[1]).max())
+        self.motions = [Motion(self.road, v, duration, margin) for v in scene.vehicles]
+        self.poses = [[[m.pose(float(t)) for t in times] for m in self.motions] for times in self.times]
         self.truth = [row for j in range(len(scene.vehicles)) for row in self._truth_of(j)]
         self.clip = self._draw_clip(np.random.default_rng([scene.seed, 13]))
 
     def _truth_of(self, j: int) -> list[dict[str, Any]]:
         vehicle, rows = self.scene.vehicles[j], []
-        for k, t in enumerate(self.clocks[0].tolist()):
+        for k, t in enumerate(self.times[0].tolist()):
             corners = [self.poses[i][j][k].corners(vehicle.width, vehicle.height) for i in (0, 1)]
             if min(view.depth(c).min() for view, c in zip(self.views, corners, strict=True)) < 1.0:
                 continue  # beside or behind the cameras
-            left, right = (view.project(c) for view, c in zip(self.views, corners, strict=True))
+            left, right = (self.corner_pixels(i, j, float(self.times[i][k])) for i in (0, 1))
             rows.append(
                 {
                     "frame": k,
@@ -106,6 +117,11 @@ class World:
             )
         return rows
 
+    def corner_pixels(self, i: int, j: int, t: float) -> Array:
+        """Where view ``i`` shows the corners (4, 2) of vehicle ``j`` in a frame of time ``t`` s."""
+        v = self.scene.vehicles[j]
+        return self.moving.project(i, t, lambda moment: self.motions[j].pose(moment).corners(v.width, v.height))
+
     def _seen(self, vehicle: Vehicle) -> list[dict[str, Any]]:
         """The rows of truth in which ``vehicle`` is wholly inside both images."""
         rows = [r for r in self.truth if r["vehicle"] == vehicle.id and r["inside"]]
@@ -115,10 +131,10 @@ class World:
 
     def _draw_clip(self, rng: np.random.Generator) -> dict[str, Any]:
         """The contents of clip.yaml, with drawn quadrilaterals and lines."""
-        scene = self.scene
-        needs_times = bool(scene.dropped or scene.skew_s)
-        clip: dict[str, Any] = {"left": "left", "right": "right"}
-        clip |= {"times": "times.csv"} if needs_times else {"rate": scene.rate}
+        scene, video = self.scene, self.scene.errors.crf is not None
+        needs_times = bool(scene.dropped and not video or scene.skew_s)
+        clip: dict[str, Any] = {side: f"{side}.mp4" if video else side for side in ("left", "right")}
+        clip |= {"times": "times.csv"} if needs_times else {} if video else {"rate": scene.rate}
         if not scene.skew_s:
             clip["synchronised"] = True
         clip["rig"] = "rig.yaml"
@@ -144,17 +160,22 @@ class World:
         return clip
 
     def _draw_path(self, lane: float, receding: bool, rng: np.random.Generator) -> dict[str, Any]:
-        """The line beside a lane, drawn in each view over the stretch that its vehicles drive along."""
+        """The line beside a lane, drawn in each view's first picture over the stretch that its vehicles drive along."""
         users = [v for v in self.scene.vehicles if (v.lane, v.receding) == (lane, receding)]
         positions = np.array([row["position"] for v in users for row in self._seen(v)])
         path: dict[str, Any] = {"shape": "line" if self.scene.radius is None else "curve"}
-        for side, view in zip(("left", "right"), self.views, strict=True):
-            visible = visible_line(self.scene, self.road, lane, positions, view)[::-1]  # from far to near
+        for i, (side, view) in enumerate(zip(("left", "right"), self.views, strict=True)):
+            visible = visible_line(self.scene, self.road, lane, positions, view, partial(self._first_pixels, i))
+            visible = visible[::-1]  # from far to near
             if len(visible) < 10:
                 raise ValueError(f"the line beside vehicle {users[0].id} is not visible in the {side} view")
             path[side] = draw_line(visible, view.camera, self.scene.line_points, self.scene.line_sigma, rng)
         path["lateral_offset"] = -self.scene.line_offset if receding else self.scene.line_offset
         return path
+
+    def _first_pixels(self, i: int, points: Array) -> Array:
+        """Where the first picture of view ``i`` shows ``points`` (N, 3) that stand still, (N, 2)."""
+        return self.moving.project(i, float(self.times[i][0]), lambda _: points)
 
 
 def render(scene: Scene) -> RenderedClip:
@@ -165,7 +186,7 @@ def render(scene: Scene) -> RenderedClip:
     """
     world = World(scene)
     left, right = _Renderer(world).render()
-    return RenderedClip(left, right, *world.clocks, world.rig, world.clip, world.truth)
+    return RenderedClip(left, right, *world.clocks, world.rig, world.clip, world.truth, scene.errors.crf)
 
 
 class _Renderer:
@@ -187,29 +208,63 @@ class _Renderer:
         return left, right
 
     def _render_view(self, i: int) -> list[NDArray[np.uint8]]:
-        scene, view, poses = self.scene, self.world.views[i], self.world.poses[i]
-        static = textures.grey_to_light(self.backdrop.draw(view), scene.gamma)
-        mask = draw_planes([self.pole], view, scene.blur_sigma, SCENE_SUBPIXELS_PER_SIDE) if self.pole else None
+        scene, moving, poses = self.scene, self.world.moving, self.world.poses[i]
+        static = self._static(i, 0.0)
+        transmission = dirt_transmission(scene.errors.cameras[i], scene.image_size, scene.seed, i)
         sensor = np.random.default_rng([scene.seed, 19, i])
         images = []
-        for k, t in enumerate(self.world.clocks[i]):
-            image = static.copy()
+        for k, t in enumerate(self.world.times[i].tolist()):
+            image = self._static(i, t) if moving.moves(i) else static.copy()
             for j in np.argsort([-track[k].centre[2] for track in poses]):
-                vehicle, pose = scene.vehicles[j], poses[j][k]
-                composite(image, draw_planes([_shadow_plane(self.shadow, vehicle, pose)], view, scene.blur_sigma, 1))
-                composite(
-                    image,
-                    draw_planes(
-                        _place_vehicle_parts(self.parts[j], pose), view, scene.blur_sigma, SCENE_SUBPIXELS_PER_SIDE
-                    ),
-                )
-                if vehicle.glare:
-                    self.glares[j].add(image, vehicle, pose, view, k)
-            composite(image, mask)
+                for within, moment in self._vehicle_bands(i, j, t):
+                    self._add_vehicle(image, j, moment, moving.view(i, moment), within)
+                if scene.vehicles[j].glare:
+                    self.glares[j].add(image, scene.vehicles[j], poses[j][k], moving.view(i, t), k)
+            if self.pole:
+                for within, _, view in moving.static_bands(i, t):
+                    composite(
+                        image, draw_planes([self.pole], view, scene.blur_sigma, SCENE_SUBPIXELS_PER_SIDE, within)
+                    )
             sun = np.sin(1.3 * t + self.phases[0]) + 0.3 * np.sin(2.9 * t + self.phases[1] + i)
             light = image * np.float32(1 + scene.gain_drift * sun)
+            if transmission is not None:
+                light = light * transmission
             images.append(_add_sensor_noise(textures.light_to_grey(light, scene.gamma), scene, sensor))
         return images
+
+    def _static(self, i: int, t: float) -> Image:
+        """The light (H, W) of what stands still in view ``i`` in a frame of time ``t``."""
+        bands = [self.backdrop.draw(view, within) for within, _, view in self.world.moving.static_bands(i, t)]
+        return textures.grey_to_light(np.concatenate(bands), self.scene.gamma)
+
+    def _add_vehicle(self, image: Image, j: int, t: float, view: PosedCamera, within: slice) -> None:
+        """Draws vehicle ``j`` as it is at ``t`` s, in the rows ``within`` of the light ``image`` (H, W)."""
+        vehicle, blur, pose = self.scene.vehicles[j], self.scene.blur_sigma, self.world.motions[j].pose(t)
+        composite(image, draw_planes([_shadow_plane(self.shadow, vehicle, pose)], view, blur, 1, within))
+        parts = _place_vehicle_parts(self.parts[j], pose)
+        composite(image, draw_planes(parts, view, blur, SCENE_SUBPIXELS_PER_SIDE, within))
+
+    def _vehicle_bands(self, i: int, j: int, t: float) -> Iterator[tuple[slice, float]]:
+        """Rows that hold all of vehicle ``j`` in view ``i`` in a frame of time ``t``, with the time of each."""
+        height, readout = self.scene.image_size[1], self.scene.errors.cameras[i].readout
+        if not readout:
+            yield slice(0, height), t
+            return
+        first, middle, last = (self._vehicle_outline(i, j, t + s * readout) for s in (-0.5, 0.0, 0.5))
+        if not len(first) == len(middle) == len(last) > 0:
+            return  # beside the camera, where it is not drawn either
+        rows, pad = np.concatenate([first, middle, last])[:, 1], 4 + 4 * self.scene.blur_sigma
+        top, bottom = (int(np.clip(y, 0, height)) for y in (rows.min() - pad, rows.max() + pad + 1))
+        motion = float(np.linalg.norm(last - first, axis=1).max())
+        for within, delay in row_bands(top, bottom, motion, readout, height) if top < bottom else ():
+            yield within, t + delay
+
+    def _vehicle_outline(self, i: int, j: int, t: float) -> Array:
+        """Pixels (N, 2) around all that is drawn of vehicle ``j`` where it is at ``t`` s."""
+        pose, view = self.world.motions[j].pose(t), self.world.moving.view(i, t)
+        shadow = _shadow_plane(self.shadow, self.scene.vehicles[j], pose)
+        corners = np.array([p.corners() for p in (shadow, *_place_vehicle_parts(self.parts[j], pose))])
+        return view.project(corners[(view.depth(corners) > 0.5).all(1)].reshape(-1, 3))
 
 
 def _add_sensor_noise(image: Image, scene: Scene, rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -278,10 +333,18 @@ _SHADOW_TEXTURE = _soft_shadow_texture()
 
 
 def write(rendered: RenderedClip, directory: Path | str, states_cameras: bool = True) -> Path:
-    """Write left/, right/, rig.yaml, clip.yaml, truth.json and, where the frames are not evenly timed, times.csv into
-    ``directory``; returns the path of clip.yaml. Without ``states_cameras`` no file tells how ideal the cameras are."""
+    """Write left/ and right/ or left.mp4 and right.mp4, rig.yaml, clip.yaml, truth.json and, where the frames are not
+    evenly timed, times.csv into ``directory``; returns the path of clip.yaml.
+
+    Without ``states_cameras`` no file tells how ideal the cameras are.
+    """
     directory = Path(directory)
-    for side, images in (("left", rendered.left), ("right", rendered.right)):
+    times = rendered.times, rendered.right_times
+    for side, images, clock in zip(("left", "right"), (rendered.left, rendered.right), times, strict=True):
+        if rendered.crf is not None:
+            directory.mkdir(parents=True, exist_ok=True)
+            write_h264(directory / f"{side}.mp4", images, clock.tolist(), rendered.crf, streamed=True)
+            continue
         (directory / side).mkdir(parents=True, exist_ok=True)
         for k, image in enumerate(images):
             cv2.imwrite(str(directory / side / f"{k:04d}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])

@@ -5,6 +5,7 @@ Implemented independently of the measuring code, so that an error in one shows a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -14,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
 from paceline.cameras import Camera, PosedCamera, Quantity, StereoRig
+from paceline.simulation.camera_errors import StereoErrors
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.operator import OPERATOR_NOISE, longest_visible_run
 from paceline.simulation.road import CircularAxis
@@ -69,7 +71,7 @@ class Scene:
     drawn line that many metres to the right of each lane's centre as seen towards growing arc length.
 
     ``dropped`` are the ticks of the clock whose pictures are missing; the right camera fires ``skew_s``
-    seconds after the left.
+    seconds after the left. ``errors`` are what is not ideal about the cameras and no file says.
     """
 
     seed: int
@@ -99,6 +101,7 @@ class Scene:
     occluder: bool = False
     dropped: tuple[int, ...] = ()
     skew_s: float = 0.0
+    errors: StereoErrors = StereoErrors()
 
 
 class PlacedRoad:
@@ -147,12 +150,13 @@ class Pose:
 
 
 class Motion:
-    """Where a vehicle is at any time: its centre moves along its own path with exactly its own speed."""
+    """Where a vehicle is at any time from ``margin`` s before 0 to as long after ``duration`` s: its centre moves along
+    its own path with exactly its own speed."""
 
-    def __init__(self, road: PlacedRoad, vehicle: Vehicle, duration: float) -> None:
+    def __init__(self, road: PlacedRoad, vehicle: Vehicle, duration: float, margin: float = 0.1) -> None:
         self.road, self.vehicle = road, vehicle
         self.direction = 1.0 if vehicle.receding else -1.0
-        travelled = self.travelled(np.linspace(-0.1, duration + 0.1, 2001))
+        travelled = self.travelled(np.linspace(-margin, duration + margin, 2001))
         if np.any(np.diff(travelled) <= 0):
             raise ValueError(f"vehicle {vehicle.id} does not move forward throughout the clip")
         u = np.linspace(travelled[0], travelled[-1], 4001)
@@ -195,7 +199,7 @@ def _integrate(f: Array, u: Array) -> Array:
 
 
 def make_rig(scene: Scene) -> StereoRig:
-    """The scene's rig, slightly out of true in every respect."""
+    """The scene's rig as calibrated, slightly out of true in every respect."""
     rng = np.random.default_rng([scene.seed, 3])
     w, h = scene.image_size
 
@@ -217,14 +221,22 @@ def rig_views(rig: StereoRig) -> tuple[PosedCamera, PosedCamera]:
     return PosedCamera(rig.left, np.eye(3), np.zeros(3)), PosedCamera(rig.right, rig.R, rig.t)
 
 
-def visible_line(scene: Scene, road: PlacedRoad, lane: float, positions: Array, view: PosedCamera) -> Array:
+def visible_line(
+    scene: Scene,
+    road: PlacedRoad,
+    lane: float,
+    positions: Array,
+    view: PosedCamera,
+    project: Callable[[Array], Array] | None = None,
+) -> Array:
     """Pixels (N, 2), closely along the line beside a lane, inside the image and near the ``positions``
-    (M, 3): up to 60 m nearer to the camera and 6 m farther."""
+    (M, 3): up to 60 m nearer to the camera and 6 m farther. ``project`` gives the pixels (K, 2) of points (K, 3) where
+    these are not those of ``view``."""
     if len(positions) == 0:
         return np.empty((0, 2))
     driven = road.coordinates(positions)[0]
     s = np.linspace(driven.min() - 60, driven.max() + 6, 4000)
     points = road.point(s, np.full_like(s, lane + scene.line_offset))
-    pixels = view.project(points[view.depth(points) > 2])
+    pixels = (project or view.project)(points[view.depth(points) > 2])
     is_visible = ((pixels > 6) & (pixels < np.array(scene.image_size) - 7)).all(1)
     return longest_visible_run(pixels, np.asarray(is_visible))  # a curve may leave the image and come back

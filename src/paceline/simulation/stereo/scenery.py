@@ -17,7 +17,7 @@ MIN_RAY_SLOPE = 1e-3  # slope of the steepest ray that counts as seeing the grou
 
 
 class StaticBackground:
-    """A scene's standing surroundings; ``draw_planes(view)`` gives their grey levels (H, W)."""
+    """A scene's standing surroundings; ``draw(view)`` gives their grey levels (H, W)."""
 
     def __init__(self, scene: Scene, road: PlacedRoad, seed: int) -> None:
         rng = np.random.default_rng([seed, 11])
@@ -27,9 +27,12 @@ class StaticBackground:
         self.sky, self.asphalt, self.grass = rng.uniform(150, 215), rng.uniform(70, 100), rng.uniform(55, 85)
         self.cards = _place_roadside(scene, road, self.lanes, rng)
 
-    def draw(self, view: PosedCamera) -> Image:
+    def draw(self, view: PosedCamera, within: slice | None = None) -> Image:
+        """Grey levels (H, W), or (h, W) of the rows ``within`` alone."""
         width, height = self.scene.image_size
-        u, v = np.meshgrid(np.arange(width), np.arange(height))
+        pad = 2 + int(np.ceil(4 * self.scene.blur_sigma))
+        top, bottom = (0, height) if within is None else (max(within.start - pad, 0), min(within.stop + pad, height))
+        u, v = np.meshgrid(np.arange(width), np.arange(top, bottom))
         rays = (np.stack([u, v, np.ones_like(u)], -1) @ view.camera.K_inv.T @ view.R).astype(np.float32)
         fall = rays @ self.road.down.astype(np.float32)
         image: Image = (self.sky + 260 * fall).astype(np.float32)
@@ -38,10 +41,11 @@ class StaticBackground:
             below = slice(rows[0], None)
             ground = self._ground(view, rays[below], np.maximum(fall[below], MIN_RAY_SLOPE))
             image[below] = np.where(fall[below] > MIN_RAY_SLOPE, ground, image[below])
-        image = np.asarray(cv2.GaussianBlur(image, (0, 0), max(self.scene.blur_sigma, 0.3)), np.float32)
+        whole = np.empty((height, width), np.float32)
+        whole[top:bottom] = cv2.GaussianBlur(image, (0, 0), max(self.scene.blur_sigma, 0.3))
         for card in self.cards:
-            composite(image, draw_planes([card], view, self.scene.blur_sigma, 2))
-        return image
+            composite(whole, draw_planes([card], view, self.scene.blur_sigma, 2, within))
+        return whole if within is None else whole[within]
 
     def _ground(self, view: PosedCamera, rays: Image, fall: Image) -> Image:
         """Grey levels of the ground along ``rays`` (h, w, 3), whose components downwards are ``fall`` (h, w)."""

@@ -31,10 +31,10 @@ class TexturedPlane:
 
 
 def draw_planes(
-    cards: list[TexturedPlane], view: PosedCamera, blur: float, oversampling: int
+    cards: list[TexturedPlane], view: PosedCamera, blur: float, oversampling: int, within: slice | None = None
 ) -> tuple[Image, slice, slice] | None:
     """The ``cards``, far ones first, over nothing: premultiplied grey and coverage (h, w, 2) and the rows and columns
-    of the image that they fill; None where all are out of sight."""
+    of the image that they fill, of the rows ``within`` alone; None where all are out of sight."""
     cards = [c for c in cards if (view.depth(c.corners()) > 0.5).all()]
     if not cards:
         return None
@@ -43,8 +43,10 @@ def draw_planes(
     width, height = view.camera.image_size
     x0, y0 = np.maximum(np.floor(outline.min(0)).astype(int) - pad, 0)
     x1, y1 = np.minimum(np.ceil(outline.max(0)).astype(int) + pad + 1, (width, height))
-    if x0 >= x1 or y0 >= y1:
+    top, bottom = (y0, y1) if within is None else (max(y0, within.start), min(y1, within.stop))
+    if x0 >= x1 or top >= bottom:
         return None
+    y0, y1 = max(y0, top - pad), min(y1, bottom + pad)  # from where the blur reaches the rows
     n = oversampling
     canvas = np.zeros(((y1 - y0) * n, (x1 - x0) * n, 2), np.float32)
     # The centre of sub-pixel p lies at (p + 0.5) / n - 0.5 + x0 in the image.
@@ -54,7 +56,7 @@ def draw_planes(
     if blur > 0:
         canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), blur * n, borderType=cv2.BORDER_REPLICATE), np.float32)
     small = cv2.resize(canvas, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
-    return np.asarray(small, np.float32), slice(y0, y1), slice(x0, x1)
+    return np.asarray(small[top - y0 : bottom - y0], np.float32), slice(top, bottom), slice(x0, x1)
 
 
 def _draw_plane(canvas: Image, card: TexturedPlane, projection: Array, view: PosedCamera) -> None:
