@@ -64,7 +64,7 @@ NEVER = {
     "speed.refinement": {"speed.filter"},
     **{
         f"simulation.{shared}": SIMULATORS
-        for shared in ("operator", "road", "lane_change", "vehicle_catalogue", "textures")
+        for shared in ("camera_errors", "operator", "road", "lane_change", "vehicle_catalogue", "textures", "video")
     },
     "simulation.stereo": SIMULATORS | {"simulation.random_scenes"},
     "simulation.chase": SIMULATORS | {"simulation.random_scenes"},

@@ -199,11 +199,11 @@ def test_the_written_rig_states_only_what_is_true() -> None:
 def test_rows_read_late_show_vehicles_later() -> None:
     slow = place_scene(sensor={"readout": 0.05, "bands": 4})
     at_once, car, view = place_scene(), slow.vehicles[0], slow.views[0]
-    seen = slow.project_plane(view, car, 0.1)
+    seen = slow.project_plane(0, car, 0.1)
     for corner, pixel in zip(range(4), seen, strict=True):
-        delay = float(slow.shutter.row_delay(pixel[1], 144))
-        assert pixel == pytest.approx(view.project(car.corners(0.1 + delay))[corner], abs=1e-6)
-    assert np.abs(seen - at_once.project_plane(view, car, 0.1)).max() > 0.05
+        delay = float(slow.shutters[0].row_delay(pixel[1], 144))
+        assert pixel == pytest.approx(view.project(car.corners(0.1 + delay))[corner], abs=1e-4)
+    assert np.abs(seen - at_once.project_plane(0, car, 0.1)).max() > 0.05
 
 
 WRONG = [

@@ -16,7 +16,7 @@ from paceline.cameras import Camera, PosedCamera, StereoRig
 
 SWAY_BANDS_HZ = ((0.85, 1.2), (1.3, 1.8), (2.0, 3.2), (4.0, 5.0))  # one mode of a mast about each axis is drawn of each
 SWAY_MODE_SHARES = (1.0, 0.35, 0.2, 0.12)  # amplitudes of these modes
-MAX_MOTION_IN_BAND_PX = 0.1  # that rows which are drawn at one time are apart in truth
+MAX_MOTION_IN_BAND_PX = 0.1  # while rows are read that are drawn as if at one time
 ROW_TIME_ITERATIONS = 8  # each leaves the share of a picture that a point moves by while it is read
 DIRT_RADII_PX = 8.0, 40.0  # of specks on a lens, far out of focus
 DIRT_OPACITIES = 0.15, 0.5  # the light that they take in their middle
@@ -145,22 +145,22 @@ def row_delay(row: Array | float, readout: float, height: int) -> Array:
 
 
 def project_by_row(project: Callable[[float], Array], t: float, readout: float, height: int) -> Array:
-    """Pixels (…, 2) of what a camera shows at ``project(time)`` in a frame of time ``t``: each where it is as its row is
-    read, which is where its own parabola through the first, middle and last row's time meets that row."""
+    """Pixels (…, 2) of what a camera shows at ``project(time)`` in a frame of time ``t``: each where it is as its row
+    is read. In between, it moves on a parabola through where it is as the first, the middle and the last row are."""
     middle = project(t)
     if not readout:
         return middle
     first, last = project(t - readout / 2), project(t + readout / 2)
     pixels = middle
     for _ in range(ROW_TIME_ITERATIONS):
-        share = (row_delay(pixels[..., 1:], 2.0, height)).clip(-2, 2)  # -1 in the first row, 1 in the last one
+        share = row_delay(pixels[..., 1:], 2.0, height).clip(-2, 2)  # -1 in the first row, 1 in the last one
         pixels = middle + share * (last - first) / 2 + share**2 * (last - 2 * middle + first) / 2
     return np.asarray(pixels)
 
 
 def row_bands(top: int, bottom: int, motion: float, readout: float, height: int) -> list[tuple[slice, float]]:
-    """The rows from ``top`` to before ``bottom`` in bands with each one's seconds after the frame's time, such that what
-    moves by ``motion`` px during ``readout`` is not displaced by more than half of `MAX_MOTION_IN_BAND_PX`."""
+    """The rows from ``top`` to before ``bottom`` in bands with each one's seconds after the frame's time, such that
+    what moves by ``motion`` px during ``readout`` moves by less than `MAX_MOTION_IN_BAND_PX` within one."""
     count = max(1, int(np.ceil(motion * (bottom - top) / height / MAX_MOTION_IN_BAND_PX))) if readout else 1
     edges = np.unique(np.linspace(top, bottom, count + 1).round().astype(int)).tolist()
     delays = [float(row_delay((a + b - 1) / 2, readout, height)) for a, b in zip(edges[:-1], edges[1:], strict=True)]

@@ -67,6 +67,8 @@ class SimulatedStereoScene(Protocol):
     def views(self) -> tuple[PosedCamera, PosedCamera]: ...
     @property
     def vehicles(self) -> Sequence[SimulatedVehicle]: ...
+    def first_pixels(self, i: int, points: Array) -> Array:
+        """Ideal pixels (N, 2) at which the first picture of view ``i`` shows ``points`` (N, 3) that stand still."""
 
 
 def clip_document(placed: SimulatedStereoScene, truth: list[dict[str, Any]], hidden: IsHidden) -> dict[str, Any]:
@@ -75,7 +77,7 @@ def clip_document(placed: SimulatedStereoScene, truth: list[dict[str, Any]], hid
     Raises UnusableInput where a measured vehicle or the line beside it is never seen well enough.
     """
     scene, rng = placed.scene, np.random.default_rng([placed.scene.seed, 13])
-    video = scene.sensor.image_format == "h264"
+    video = scene.is_video
     clip: dict[str, Any] = {side: f"{side}.mp4" if video else side for side in ("left", "right")}
     if not video:
         clip |= {"times": "times.csv"} if scene.dropped or scene.skew else {"rate": scene.rate}
@@ -169,16 +171,15 @@ def visible_marking(
     vehicles, and its pixels (M, 2), closely, from far to near, in each view."""
     middle, markings = placed.road.lanes[lane], placed.road.markings
     nearest_markings = sorted(markings, key=lambda m: abs(m - middle))[:2]
-    lines = {m: [_visible_line(placed, m, driven, view, hidden) for view in placed.views] for m in nearest_markings}
+    lines = {m: [_visible_line(placed, m, driven, i, hidden) for i in (0, 1)] for m in nearest_markings}
     marking = max(lines, key=lambda m: min(len(line) for line in lines[m]))
     return marking, lines[marking]
 
 
-def _visible_line(
-    placed: SimulatedStereoScene, marking: float, driven: Array, view: PosedCamera, hidden: IsHidden
-) -> Array:
-    """Pixels (N, 2) closely along the line at ``marking``, from far to near, where nothing hides it: its longest
-    stretch."""
+def _visible_line(placed: SimulatedStereoScene, marking: float, driven: Array, i: int, hidden: IsHidden) -> Array:
+    """Pixels (N, 2) closely along the line at ``marking`` in the first picture of view ``i``, from far to near, where
+    nothing hides it: its longest stretch."""
+    view = placed.views[i]
     points = placed.road.line(marking, float(driven.min()) - LINE_BEFORE_M, float(driven.max()) + LINE_BEFORE_M, 0.25)
     depth = view.to_camera(points)[:, 2]
     along = placed.road.line(0.0, float(driven.min()), float(driven.max()), 0.25)
@@ -187,7 +188,7 @@ def _visible_line(
     points = points[np.argsort(-view.to_camera(points)[:, 2], kind="stable")]
     if len(points) == 0:
         return np.empty((0, 2))
-    pixels = view.project(points)
+    pixels = placed.first_pixels(i, points)
     size = np.array(view.camera.image_size)
     is_visible = ((pixels > LINE_BORDER_PX) & (pixels < size - 1 - LINE_BORDER_PX)).all(1) & ~hidden(view, points)
     # A post hides only a short part of a line, and people draw across it; a curve may leave the picture and come back.

@@ -13,6 +13,7 @@ from paceline.arrays import Array
 from paceline.cameras import Camera, PosedCamera, Quantity, RigUncertainty, StereoRig
 from paceline.documents.assumed_calibration import with_assumed_uncertainty
 from paceline.errors import UnusableInput
+from paceline.simulation.camera_errors import MovingViews, StereoErrors
 from paceline.simulation.operator import is_inside_image
 from paceline.simulation.raytraced import road_surface
 from paceline.simulation.raytraced.light import Light
@@ -85,14 +86,17 @@ def place_body(body: Body, pose: Placement, rolled: float) -> list[Placement]:
 
 class PlacedStereoScene:
     """A speed scene with everything placed. ``rig`` is the true one, ``written_rig`` that of rig.yaml; ``views`` are
-    the true cameras in the world; ``clocks`` (2, F) s are the times of the left and the right images.
+    the true cameras in the world at rest and ``moving`` the same as they move; ``clocks`` (2, F) s are the stated times
+    of the left and the right images and ``times`` (2, F) s the true ones.
 
     Raises UnusableInput where the scene contradicts itself.
     """
 
     def __init__(self, scene: SpeedScene) -> None:
         self.scene, self.road, self.light = scene, make_road(scene), make_light(scene)
-        self.rig, self.written_rig = make_rigs(scene)
+        calibrated, self.written_rig = make_rigs(scene)
+        self.errors = make_errors(scene)
+        self.rig = self.errors.true_rig(calibrated)
         left = look_at(self.rig.left, self._place(scene.rig.eye), self._place(scene.rig.target))
         right = PosedCamera(self.rig.right, self.rig.R @ left.R, self.rig.R @ left.t + self.rig.t)
         self.views = left, right
@@ -100,8 +104,14 @@ class PlacedStereoScene:
         if len(ticks) == 0:
             raise UnusableInput("dropped: no frame is left")
         self.clocks = np.stack([ticks, ticks + scene.skew])
+        self.times = np.stack(self.errors.exposure_times((self.clocks[0], self.clocks[1])))
+        self.moving = MovingViews(self.views, self.errors, scene.rate, scene.seed)
         self.vehicles = [self._car(i, model) for i, model in enumerate(scene.vehicles)]
-        self.shutter = make_shutter(scene)
+        self.shutters = tuple(replace(make_shutter(scene), readout=e.readout) for e in self.errors.cameras)
+
+    def first_pixels(self, i: int, points: Array) -> Array:
+        """Ideal pixels (N, 2) at which the first picture of view ``i`` shows ``points`` (N, 3) that stand still."""
+        return self.moving.project(i, float(self.times[i, 0]), lambda _: points)
 
     def _place(self, place: PositionModel) -> Array:
         position, axes = self.road.frame(place.along, place.right)
@@ -155,7 +165,7 @@ class PlacedStereoScene:
     def truth(self, renderer: Renderer) -> list[dict[str, Any]]:
         """One row for every vehicle and frame in which it is before both cameras."""
         rows: dict[str, list[dict[str, Any]]] = {car.model.id: [] for car in self.vehicles}
-        for k, times in enumerate(self.clocks.T.tolist()):
+        for k, times in enumerate(self.times.T.tolist()):
             renderer.place(self.placements(times[0]))
             for car in self.vehicles:
                 if car.is_there(times[0]) and (row := self._row(car, k, times, renderer)):
@@ -167,7 +177,7 @@ class PlacedStereoScene:
         corners = car.corners(times[0])
         if min(float(view.to_camera(corners)[:, 2].min()) for view in self.views) < 1.0:
             return None
-        left, right = (self.project_plane(view, car, t) for view, t in zip(self.views, times, strict=True))
+        left, right = (self.project_plane(i, car, t) for i, t in enumerate(times))
         size = self.rig.left.image_size
         center = car.center(times[0])
         return {
@@ -185,13 +195,10 @@ class PlacedStereoScene:
             "axle_speed_mps": car.motion.speed(times[0]),
         }
 
-    def project_plane(self, view: PosedCamera, car: PlacedVehicle, t: float) -> Array:
-        """Ideal pixels (4, 2) of a vehicle's plane in the frame of time ``t`` s, each at the time its row is read."""
-        pixels = view.project(car.corners(t))
-        for _ in range(8 if self.shutter.readout else 0):
-            delays = self.shutter.row_delay(pixels[:, 1], view.camera.image_size[1])
-            pixels = np.stack([view.project(car.corners(t + float(d))[i]) for i, d in enumerate(delays)])
-        return pixels
+    def project_plane(self, i: int, car: PlacedVehicle, t: float) -> Array:
+        """Ideal pixels (4, 2) of a vehicle's plane in the frame of time ``t`` s of view ``i``, each at the time its row
+        is read."""
+        return self.moving.project(i, t, car.corners)
 
 
 def make_road(scene: SceneModel) -> Road:
@@ -211,6 +218,10 @@ def make_sensor(scene: SceneModel) -> Sensor:
 def make_shutter(scene: SceneModel) -> Shutter:
     s = scene.sensor
     return Shutter(s.shutter_s, s.steps, s.readout, s.bands)
+
+
+def make_errors(scene: SpeedScene) -> StereoErrors:
+    return scene.camera_errors.errors(scene.sensor.readout)
 
 
 def look_at(camera: Camera, eye: Array, target: Array) -> PosedCamera:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AliasChoices, Field, model_validator
 
 from paceline.documents.models import Document, Name, Rate, Size, UncertaintyModel, read_document
+from paceline.simulation.camera_errors import CameraErrors, StereoErrors
 from paceline.simulation.operator import OPERATOR_NOISE
 from paceline.simulation.vehicle_catalogue import RaytracedKind
 
@@ -15,6 +17,8 @@ Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Seed = Annotated[int, Field(ge=0)]
+Angle = Annotated[float, Field(ge=-0.1, le=0.1)]
+Pixels = Annotated[float, Field(ge=-100, le=100)]
 
 
 class RoadModel(Document):
@@ -136,6 +140,44 @@ class SensorModel(Document):
     quality: Annotated[int, Field(ge=1, le=100)] = 90
 
 
+class CameraErrorsModel(Document):
+    """`camera_errors.CameraErrors` of one camera. A ``readout`` that is not given is that of `SensorModel`; one that is
+    given is rendered in as many bands as it takes."""
+
+    readout: Annotated[float, Field(ge=-1, le=1)] | None = None
+    zoom: Annotated[float, Field(ge=-0.2, le=0.2)] = 0.0
+    turn: Annotated[list[Angle], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+    drift: Annotated[list[Pixels], Field(min_length=2, max_length=2)] = [0.0, 0.0]
+    knock: Annotated[list[Pixels], Field(min_length=2, max_length=2)] = [0.0, 0.0]
+    knock_frame: Annotated[int, Field(ge=0)] = 0
+    dirt: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+
+    def errors(self, readout: float) -> CameraErrors:
+        """As a dataclass, with the sensor's ``readout`` where there is none."""
+        values = {key: tuple(v) if isinstance(v, list) else v for key, v in self.model_dump().items()}
+        return CameraErrors(**values | ({"readout": readout} if self.readout is None else {}))
+
+
+class StereoErrorsModel(Document):
+    """`camera_errors.StereoErrors`: what is not ideal about the cameras, and no file of the clip says."""
+
+    left: CameraErrorsModel = CameraErrorsModel()
+    right: CameraErrorsModel = CameraErrorsModel()
+    offset: Annotated[float, Field(ge=-2, le=2)] = 0.0
+    rate_ppm: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
+    sway: Annotated[float, Field(ge=0, le=0.02)] = 0.0
+    crf: Annotated[int, Field(ge=0, le=51)] | None = None
+
+    @staticmethod
+    def of(errors: StereoErrors) -> StereoErrorsModel:
+        return StereoErrorsModel.model_validate(asdict(errors), strict=False)
+
+    def errors(self, readout: float) -> StereoErrors:
+        """As a dataclass, with the sensor's ``readout`` for cameras that have none."""
+        left, right = (camera.errors(readout) for camera in (self.left, self.right))
+        return StereoErrors(left, right, self.offset, self.rate_ppm, self.sway, self.crf)
+
+
 class OperatorNoiseModel(Document):
     """Standard deviations (px) of drawn corners and of the drawn points of a line, and the number of these points."""
 
@@ -159,7 +201,7 @@ class SceneModel(Document):
 
 class SpeedScene(SceneModel):
     """A stereo rig beside a road. Pictures of the ticks ``dropped`` are missing; the right camera fires ``skew`` s
-    after the left."""
+    after the left, and ``camera_errors`` are what no file of the clip says."""
 
     kind: Literal["speed"]
     vehicles: Annotated[list[VehicleModel], Field(min_length=1)]
@@ -169,6 +211,12 @@ class SpeedScene(SceneModel):
     )
     dropped: list[Annotated[int, Field(ge=0)]] = []
     skew: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
+    camera_errors: StereoErrorsModel = StereoErrorsModel()
+
+    @property
+    def is_video(self) -> bool:
+        """Whether pictures are kept as videos, whose time stamps are those of the clip."""
+        return self.sensor.image_format == "h264" or self.camera_errors.crf is not None
 
     @model_validator(mode="after")
     def _check(self) -> SpeedScene:
@@ -177,8 +225,11 @@ class SpeedScene(SceneModel):
                 raise ValueError(f"vehicles[{i}].lane: expected one of 0 to {self.road.lanes - 1}, found {car.lane}")
             if any(car.id == other.id for other in self.vehicles[:i]):
                 raise ValueError(f"vehicles[{i}].id: {car.id!r} occurs twice; expected one of its own")
-        if self.sensor.readout and self.rig.distortion:
-            raise ValueError("sensor.readout and rig.distortion: expected one of them at most")
+        if self.rig.distortion:
+            if self.sensor.readout:
+                raise ValueError("sensor.readout and rig.distortion: expected one of them at most")
+            if self.camera_errors.left.readout or self.camera_errors.right.readout:
+                raise ValueError("camera_errors and rig.distortion: expected no readout of a lens with distortion")
         if not any(car.measured for car in self.vehicles):
             raise ValueError("vehicles: none is measured; expected at least one")
         return self

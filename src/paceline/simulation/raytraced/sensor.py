@@ -12,6 +12,7 @@ from scipy.special import ive
 
 from paceline.arrays import Array
 from paceline.cameras import Camera, PosedCamera
+from paceline.simulation.camera_errors import row_delay
 from paceline.simulation.raytraced.light import LUMINANCE_WEIGHTS
 from paceline.simulation.raytraced.meshes import Placement
 from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
@@ -84,7 +85,7 @@ class Shutter:
 
     def row_delay(self, row: Array | float, height: int) -> Array:
         """Seconds from a frame's time to that at which its ``row`` (…) of ``height`` is read."""
-        return np.asarray(self.readout * ((np.asarray(row) + 0.5) / height - 0.5))
+        return row_delay(row, self.readout, height)
 
 
 def render_exposure(

@@ -1,7 +1,7 @@
 """Writing rendered stereo clips, as `paceline speed` reads them, with truth.json beside them.
 
-The cameras do not move, so the static scene is rendered once for each of them, and each frame only near vehicles and
-their shadows. Far from them a vehicle changes a pixel only by the light that it scatters, which is neglected.
+The static scene is rendered once for each camera that does not move, and each frame only near vehicles and their
+shadows. Far from them a vehicle changes a pixel only by the light that it scatters, which is neglected.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from paceline.cameras import PosedCamera, StereoRig
 from paceline.documents.assumed_calibration import without_statements
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.progress import Progress
+from paceline.simulation.camera_errors import MAX_MOTION_IN_BAND_PX, dirt_transmission
 from paceline.simulation.operator import clip_document
 from paceline.simulation.raytraced import clip_folder
 from paceline.simulation.raytraced.light import Light
@@ -26,7 +28,8 @@ from paceline.simulation.raytraced.mitsuba_variant import default_variant
 from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
 from paceline.simulation.raytraced.scene import PlacedStereoScene, PlacedVehicle, make_sensor
 from paceline.simulation.raytraced.scene_yaml import SpeedScene
-from paceline.simulation.raytraced.sensor import Lens, expose, render_exposure
+from paceline.simulation.raytraced.sensor import Lens, Shutter, expose, render_exposure
+from paceline.simulation.video import write_h264
 
 BACKGROUND_SAMPLE_DIVISOR = 4  # where there is no vehicle: most of the time is spent there, nothing measured
 VEHICLE_MARGIN_M = 0.1  # m around a vehicle's box that get all samples
@@ -63,19 +66,21 @@ def write(
     total, n_done = placed.clocks.size, 0
     for i, side in enumerate(("left", "right")):
         camera_renderer = _CameraRenderer(placed, renderer, i, directory / f".still-{side}.npy")
-        paths = [
-            directory / side / f"{k:04d}{IMAGE_SUFFIX[scene.sensor.image_format]}"
-            for k in range(placed.clocks.shape[1])
-        ]
+        suffix = IMAGE_SUFFIX["h264" if scene.is_video else scene.sensor.image_format]
+        paths = [directory / side / f"{k:04d}{suffix}" for k in range(placed.clocks.shape[1])]
         video = directory / f"{side}.mp4"
         for k, path in enumerate(paths):
-            if not path.exists() and not (scene.sensor.image_format == "h264" and video.exists()):
+            if not path.exists() and not (scene.is_video and video.exists()):
                 clip_folder.write_picture(path, camera_renderer.render(k), scene.sensor.quality)
             n_done += 1
             if progress:
                 progress(n_done, total)
-        if scene.sensor.image_format == "h264" and not video.exists():
-            clip_folder.write_video(video, paths, placed.clocks[i].tolist(), scene.sensor.quality)
+        if scene.is_video and not video.exists():
+            times = placed.clocks[i].tolist()  # of its own clock, which does not know of an offset
+            if placed.errors.crf is None:
+                clip_folder.write_video(video, paths, times, scene.sensor.quality)
+            else:
+                write_h264(video, map(clip_folder.read_picture, paths), times, placed.errors.crf, streamed=True)
     rig = placed.written_rig
     if not states_cameras:
         rig, _ = without_statements(rig), clip.pop("synchronised", None)
@@ -102,7 +107,7 @@ def _write_documents(
 def _remove_temporary_files(directory: Path, scene: SpeedScene) -> None:
     for side in ("left", "right"):
         (directory / f".still-{side}.npy").unlink(missing_ok=True)
-        if scene.sensor.image_format == "h264" and (directory / side).is_dir():
+        if scene.is_video and (directory / side).is_dir():
             clip_folder.remove_pictures(directory / side)
 
 
@@ -111,15 +116,21 @@ class _CameraRenderer:
 
     def __init__(self, placed: PlacedStereoScene, renderer: Renderer, i: int, cache: Path) -> None:
         self.placed, self.renderer, self.i, self.cache = placed, renderer, i, cache
-        true = placed.views[i]
-        self.lens = Lens.of(true.camera)
-        self.view = PosedCamera(self.lens.pinhole, true.R, true.t)
+        self.lens, self.shutter = Lens.of(placed.views[i].camera), placed.shutters[i]
+        size, errors = placed.rig.cameras[i].image_size, placed.errors.cameras[i]
+        self.transmission = dirt_transmission(errors, size, placed.scene.seed, i)
         self._still: Radiance | None = None
+
+    def view(self, t: float) -> PosedCamera:
+        """The pinhole camera at ``t`` s."""
+        true = self.placed.moving.view(self.i, t)
+        return PosedCamera(self.lens.pinhole, true.R, true.t)
 
     def render(self, k: int) -> clip_folder.Picture:
         """The ``k``-th picture, (H, W) or (H, W, 3) uint8."""
-        scene, time = self.placed.scene, float(self.placed.clocks[self.i, k])
-        light = self.static_meshes().copy()
+        scene, time = self.placed.scene, float(self.placed.times[self.i, k])
+        light = self.moved_static_meshes(k) if self.placed.moving.moves(self.i) else self.static_meshes().copy()
+        shutter = self.banded_shutter(time)
         around = self.window(time, lambda car, t: _shadow_extent(car, t, self.placed.light))
         bodies = self.window(time, lambda car, t: _vehicle_box(car, t, VEHICLE_MARGIN_M))
         for part, (window, samples) in enumerate(
@@ -131,16 +142,19 @@ class _CameraRenderer:
                 light[y0:y1, x0:x1] = render_exposure(
                     self.renderer,
                     self.placed.placements,
-                    lambda t: self.view,
+                    self.view,
                     time,
-                    self.placed.shutter,
+                    shutter,
                     max(1, samples),
                     frame_seed,
                     window,
                 )
         white = self.placed.light.level_irradiance / np.pi
         noise = np.random.default_rng([scene.seed, 19, self.i, k])
-        return expose(self.lens.distort(light), white, make_sensor(scene), noise)
+        recorded = self.lens.distort(light)
+        if self.transmission is not None:
+            recorded = recorded * self.transmission[..., None]
+        return expose(recorded, white, make_sensor(scene), noise)
 
     def static_meshes(self) -> Radiance:
         """The light (H, W, 3) without any vehicle, kept in a file in case of an interruption."""
@@ -150,29 +164,59 @@ class _CameraRenderer:
             self.renderer.place(self.placed.empty_placements())
             seed = int(np.random.SeedSequence([self.placed.scene.seed, 23, self.i]).generate_state(1)[0])
             samples = max(1, self.placed.scene.samples // BACKGROUND_SAMPLE_DIVISOR)
-            self._still = self.renderer.render(self.view, samples, seed)
+            self._still = self.renderer.render(self.view(0.0), samples, seed)
             content = io.BytesIO()
             np.save(content, self._still)
             clip_folder.write_atomically(self.cache, content.getvalue())
         return self._still
 
+    def moved_static_meshes(self, k: int) -> Radiance:
+        """The light (H, W, 3) without any vehicle in the ``k``-th picture of a camera that moves."""
+        self.renderer.place(self.placed.empty_placements())
+        samples, width = max(1, self.placed.scene.samples // BACKGROUND_SAMPLE_DIVISOR), self.lens.pinhole.image_size[0]
+        time = float(self.placed.times[self.i, k])
+        bands = list(self.placed.moving.static_bands(self.i, time))
+        seeds = np.random.SeedSequence([self.placed.scene.seed, 23, self.i, k]).generate_state(len(bands)).tolist()
+        if len(bands) == 1:
+            return self.renderer.render(self.view(time), samples, seeds[0])
+        return np.concatenate(
+            [
+                self.renderer.render(self.view(t), samples, seed, (0, rows.start, width, rows.stop))
+                for (rows, t, _), seed in zip(bands, seeds, strict=True)
+            ]
+        )
+
+    def banded_shutter(self, time: float) -> Shutter:
+        """The shutter with as many bands as the motion of the vehicles at ``time`` s takes, where no other number is
+        given."""
+        model = self.placed.scene.camera_errors
+        if not (model.left, model.right)[self.i].readout:
+            return self.shutter
+        motion, half = 0.0, self.shutter.readout / 2
+        for car in self.placed.vehicles:
+            if car.is_there(time - half) and car.is_there(time + half):
+                ends = [(self.view(t), _vehicle_box(car, t, 0.0)) for t in (time - half, time + half)]
+                if all((view.depth(box) > 0.5).all() for view, box in ends):
+                    first, last = (view.project(box) for view, box in ends)
+                    motion = max(motion, float(np.linalg.norm(last - first, axis=1).max()))
+        count = int(np.clip(np.ceil(motion / MAX_MOTION_IN_BAND_PX), 1, self.lens.pinhole.image_size[1]))
+        return replace(self.shutter, bands=count)
+
     def window(self, time: float, extent: Callable[[PlacedVehicle, float], Array]) -> Window | None:
         """The part of the picture that the ``extent`` of vehicles, points (N, 3) of the world at a time, takes up at
         ``time`` s; None where there is none."""
-        shutter = self.placed.shutter
-        reach = shutter.exposure / 2 + shutter.readout / 2
+        reach = self.shutter.exposure / 2 + abs(self.shutter.readout) / 2
         moments = sorted({time - reach, time, time + reach})
-        points = [extent(car, t) for car in self.placed.vehicles for t in moments if car.is_there(t)]
+        points = [(self.view(t), extent(car, t)) for car in self.placed.vehicles for t in moments if car.is_there(t)]
         if not points:
             return None
-        around = np.concatenate(points)
-        width, height = self.view.camera.image_size
-        depth = self.view.to_camera(around)[:, 2]
+        width, height = self.lens.pinhole.image_size
+        depth = np.concatenate([view.to_camera(around)[:, 2] for view, around in points])
         if (depth <= 0.5).all():
             return None
         if (depth <= 0.5).any():
             return 0, 0, width, height
-        pixels = self.view.project(around)
+        pixels = np.concatenate([view.project(around) for view, around in points])
         low = np.clip(np.floor(pixels.min(0)).astype(int) - 4, 0, (width, height))
         high = np.clip(np.ceil(pixels.max(0)).astype(int) + 5, 0, (width, height))
         return (int(low[0]), int(low[1]), int(high[0]), int(high[1])) if (high > low).all() else None

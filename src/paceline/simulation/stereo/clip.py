@@ -77,8 +77,8 @@ class World:
     """A scene with everything about it that is known before any picture is drawn.
 
     ``poses[view][vehicle][frame]`` are the vehicles' planes when each camera exposes; ``clocks`` are the stated times
-    of the pictures and ``times`` the true ones (F,) s; ``views`` are the cameras at rest and ``moving`` the same as they
-    move; ``rig``, ``clip`` and ``truth`` as in `RenderedClip`.
+    of the pictures and ``times`` the true ones (F,) s; ``views`` are the cameras at rest and ``moving`` the same as
+    they move; ``rig``, ``clip`` and ``truth`` as in `RenderedClip`.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -222,9 +222,7 @@ class _Renderer:
                     self.glares[j].add(image, scene.vehicles[j], poses[j][k], moving.view(i, t), k)
             if self.pole:
                 for within, _, view in moving.static_bands(i, t):
-                    composite(
-                        image, draw_planes([self.pole], view, scene.blur_sigma, SCENE_SUBPIXELS_PER_SIDE, within)
-                    )
+                    composite(image, draw_planes([self.pole], view, scene.blur_sigma, SCENE_SUBPIXELS_PER_SIDE, within))
             sun = np.sin(1.3 * t + self.phases[0]) + 0.3 * np.sin(2.9 * t + self.phases[1] + i)
             light = image * np.float32(1 + scene.gain_drift * sun)
             if transmission is not None:
