@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from accuracy import off
@@ -45,12 +45,12 @@ READOUT_STD_S, SWAY_STD_RAD, ZOOM_STD = 0.012, 2e-4, 5e-4
 RANDOM_CRFS = (None, 18, 23, 28)
 
 
-def _both(**errors: float) -> StereoErrors:
-    return StereoErrors(CameraErrors(**errors), CameraErrors(**errors))  # type: ignore[arg-type]
+def _both(**errors: Any) -> StereoErrors:
+    return StereoErrors(CameraErrors(**errors), CameraErrors(**errors))
 
 
-def _right(**errors: float | tuple[float, float]) -> StereoErrors:
-    return StereoErrors(right=CameraErrors(**errors))  # type: ignore[arg-type]
+def _right(**errors: Any) -> StereoErrors:
+    return StereoErrors(right=CameraErrors(**errors))
 
 
 def _together(readout: float, zoom: float, offset: float, sway: float, crf: int) -> StereoErrors:
@@ -203,7 +203,7 @@ def main() -> None:
         found = (outcome_cell(o) for o in c.outcomes)
         print(row(c.case.imperfection, c.case.road, c.case.seed, *found), flush=True)
     columns = ("measured", "RMS, mph", "worst", "covered", "median ±", "farthest outside, in ±")
-    print("\n" + head("imperfection", "road", "method", *columns, "|error| more than Lucas–Kanade's"))
+    print("\n" + head("imperfection", "road", "method", *columns, "error beyond Lucas–Kanade's"))
     for name in names:
         for road in ROADS:
             group = [c for c in compared if (c.case.imperfection, c.case.road) == (name, road)]

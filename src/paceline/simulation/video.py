@@ -24,7 +24,7 @@ def write_h264(
     `KEY_FRAME_INTERVAL_S` and no B frames, as those of surveillance cameras."""
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     rate = round(len(times) / max(times[-1] - times[0], 1e-3)) or 1
-    options = {"crf": str(crf), "preset": "medium"}
+    options: dict[str, object] = {"crf": str(crf), "preset": "medium"}
     if streamed:
         options |= {"bf": "0", "g": str(max(1, round(KEY_FRAME_INTERVAL_S * rate)))}
     with av.open(str(partial), "w") as container:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, Field, model_validator
 
@@ -154,7 +154,7 @@ class CameraErrorsModel(Document):
 
     def errors(self, readout: float) -> CameraErrors:
         """As a dataclass, with the sensor's ``readout`` where there is none."""
-        values = {key: tuple(v) if isinstance(v, list) else v for key, v in self.model_dump().items()}
+        values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in self.model_dump().items()}
         return CameraErrors(**values | ({"readout": readout} if self.readout is None else {}))
 
 

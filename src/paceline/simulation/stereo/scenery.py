@@ -38,14 +38,14 @@ class StaticBackground:
         image: Image = (self.sky + 260 * fall).astype(np.float32)
         rows = np.flatnonzero((fall > MIN_RAY_SLOPE).any(axis=1))
         if len(rows):
-            below = slice(rows[0], None)
+            below = slice(min(int(rows[0]), len(rays) - 2), None)  # slopes take two rows
             ground = self._ground(view, rays[below], np.maximum(fall[below], MIN_RAY_SLOPE))
             image[below] = np.where(fall[below] > MIN_RAY_SLOPE, ground, image[below])
-        whole = np.empty((height, width), np.float32)
-        whole[top:bottom] = cv2.GaussianBlur(image, (0, 0), max(self.scene.blur_sigma, 0.3))
+        picture = np.empty((height, width), np.float32)
+        picture[top:bottom] = cv2.GaussianBlur(image, (0, 0), max(self.scene.blur_sigma, 0.3))
         for card in self.cards:
-            composite(whole, draw_planes([card], view, self.scene.blur_sigma, 2, within))
-        return whole if within is None else whole[within]
+            composite(picture, draw_planes([card], view, self.scene.blur_sigma, 2, within))
+        return picture if within is None else picture[within]
 
     def _ground(self, view: PosedCamera, rays: Image, fall: Image) -> Image:
         """Grey levels of the ground along ``rays`` (h, w, 3), whose components downwards are ``fall`` (h, w)."""
