@@ -22,7 +22,7 @@ import numpy as np
 from accuracy import off
 from baselines import Outcome, compare_methods, measured, outcome_cell
 from bends import METHODS
-from common import PLAIN_RIG, Rows, head, machine, raytraced, rendered, rms, row, share_out
+from common import PLAIN_RIG, Rows, head, machine, raytraced, rendered, rms, row, share_out, why_not
 
 from paceline import UnusableInput
 from paceline.documents.loading import Clip
@@ -30,7 +30,7 @@ from paceline.simulation.camera_errors import CameraErrors, StereoErrors
 from paceline.simulation.random_scenes.drawn import random_bend, random_scene
 from paceline.simulation.random_scenes.raytraced import random_raytraced_bend, random_raytraced_straight
 from paceline.simulation.raytraced.scene_yaml import SpeedScene, StereoErrorsModel
-from paceline.simulation.stereo.scene import Scene
+from paceline.simulation.stereo.clip import Scene, World
 
 Made = TypeVar("Made")
 
@@ -132,12 +132,15 @@ def suitable(make: Callable[[int], Made], seed: int) -> Made:
 def drawn_scene(case: Case) -> Scene:
     def make(seed: int) -> Scene:
         if case.road == "bend":
-            return random_bend(seed, None, case.rate)
-        steady = {"acceleration": 0.0, "glare": False}
-        return random_scene(seed, vehicle=steady, radius=None, rate=case.rate, occluder=False, **PLAIN_RIG)
+            scene = random_bend(seed, None, case.rate)
+        else:
+            steady = {"acceleration": 0.0, "glare": False}
+            scene = random_scene(seed, vehicle=steady, radius=None, rate=case.rate, occluder=False, **PLAIN_RIG)
+        scene = replace(scene, errors=errors_of(case, scene.frames))
+        World(scene)  # raises ValueError where a view that is late does not show the vehicle beside the other
+        return scene
 
-    scene = suitable(make, case.seed)
-    return replace(scene, errors=errors_of(case, scene.frames))
+    return suitable(make, case.seed)
 
 
 def raytraced_scene(case: Case) -> SpeedScene:
@@ -154,10 +157,13 @@ def run(case: Case, renderer: str, clips: Path | None) -> Compared:
         made = raytraced(raytraced_scene(case), clips / name if clips else None)
     else:
         made = rendered(drawn_scene(case))
-    with made as (clip, truth):
-        if case.imperfection == RANDOM_ERRORS:
-            clip = replace(clip, rig=off(clip.rig, case.seed, stated=False))
-        return Compared(case, compare_methods(clip, truth, METHODS))
+    try:
+        with made as (clip, truth):
+            if case.imperfection == RANDOM_ERRORS:
+                clip = replace(clip, rig=off(clip.rig, case.seed, stated=False))
+            return Compared(case, compare_methods(clip, truth, METHODS))
+    except UnusableInput as unusable:  # a clip whose drawings contradict each other
+        return Compared(case, [Outcome(method, reason=why_not(unusable)) for method in METHODS])
 
 
 def summary(outcomes: Sequence[Outcome]) -> list[str]:
