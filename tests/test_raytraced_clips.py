@@ -139,6 +139,33 @@ def test_videos_keep_their_times(tmp_path: Path) -> None:
     assert not (tmp_path / "clip" / "left").exists()
 
 
+def test_cameras_that_are_not_ideal_look_beside_the_same_scene(written: Path, tmp_path: Path) -> None:
+    """The picture of each is that of an ideal one, moved as the truth says."""
+    rolling = {"readout": 0.02, "drift": [3.0, 0.0]}
+    errors = {"offset": 0.03, "sway": 1e-3, "crf": 4, "left": rolling, "right": rolling | {"dirt": 0.05}}
+    folder = write_speed(speed(camera_errors=errors), tmp_path / "clip").parent
+    frames = list(open_recording(load_clip(folder / "clip.yaml")).frames(0))
+    assert [f.time for f in frames] == pytest.approx([0.0, 0.1, 0.2], abs=1e-4)
+    assert [f.skew for f in frames] == pytest.approx([0.0] * 3, abs=1e-4)
+    rows, ideal = (json.loads((of / "truth.json").read_text()) for of in (folder, written))
+    assert rows[2]["speed_mps"] == ideal[2]["speed_mps"]
+    corners, before = (np.array(of[2]["left"]) for of in (rows, ideal))
+    M = np.array([[1, 0, 0], [0, 1, 0.0]])
+    M[:, 2] = moved = (corners - before).mean(0)
+    assert moved[0] == pytest.approx(6.0, abs=1.0)
+    picture = cv2.imread(str(written / "left" / "0002.png"), cv2.IMREAD_GRAYSCALE)
+    assert picture is not None
+    picture = cv2.GaussianBlur(picture, (0, 0), 1.0)
+    (x0, y0), (x1, y1) = corners.min(0).astype(int) - 2, corners.max(0).astype(int) + 3
+    shown = cv2.GaussianBlur(frames[2].left, (0, 0), 1.0)[y0:y1, x0:x1].ravel()
+    aligned, unmoved = (
+        np.corrcoef(shown, cv2.warpAffine(picture, m, (192, 144))[y0:y1, x0:x1].ravel())[0, 1]
+        for m in (M, np.eye(2, 3))
+    )
+    assert aligned > unmoved + 0.2
+    assert not (folder / "left").exists()
+
+
 def test_dropped_frames_and_skew_are_in_the_times(tmp_path: Path) -> None:
     occluder = {"id": "near", "kind": "bus", "start": 19.0, "speed": 0.0, "measured": False, "seed": 1}
     vehicles = [*tiny_speed()["vehicles"], occluder | {"lane": 1}]
