@@ -154,13 +154,14 @@ def run(case: Case, renderer: str, clips: Path | None) -> Compared:
     made: AbstractContextManager[tuple[Clip, Rows]]
     if renderer == "raytraced":
         name = f"{case.imperfection}_{case.road}_{case.seed}".replace(" ", "-").replace("/", "-per-")
-        made = raytraced(raytraced_scene(case), clips / name if clips else None)
+        made = raytraced(raytraced_scene(case), clips / name if clips else None, states_cameras=False)
     else:
-        made = rendered(drawn_scene(case))
+        made = rendered(drawn_scene(case), states_cameras=False)
     try:
         with made as (clip, truth):
             if case.imperfection == RANDOM_ERRORS:
-                clip = replace(clip, rig=off(clip.rig, case.seed, stated=False))
+                moved = off(clip.rig, case.seed, stated=False)
+                clip = replace(clip, rig=replace(moved, uncertainty=clip.rig.uncertainty))
             return Compared(case, compare_methods(clip, truth, METHODS))
     except UnusableInput as unusable:  # a clip whose drawings contradict each other
         return Compared(case, [Outcome(method, reason=why_not(unusable)) for method in METHODS])

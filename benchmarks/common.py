@@ -64,18 +64,22 @@ def distances(scene: Scene) -> tuple[float, float]:
 
 
 @contextmanager
-def rendered(scene: Scene) -> Iterator[tuple[Clip, Rows]]:
-    """The clip of ``scene`` and its truth, in files that vanish afterwards."""
+def rendered(scene: Scene, states_cameras: bool = True) -> Iterator[tuple[Clip, Rows]]:
+    """The clip of ``scene`` and its truth, in files that vanish afterwards, and that say of ideal cameras that they are
+    if ``states_cameras``."""
     with tempfile.TemporaryDirectory() as folder:
         result = render(scene)
-        yield load_clip(write(result, folder)), result.truth
+        yield load_clip(write(result, folder, states_cameras)), result.truth
 
 
 @contextmanager
-def raytraced(scene: SpeedScene, folder: Path | None = None) -> Iterator[tuple[Clip, Rows]]:
-    """The clip of a ray-traced ``scene`` and its truth, in a ``folder`` that keeps them, or in files that vanish."""
+def raytraced(
+    scene: SpeedScene, folder: Path | None = None, states_cameras: bool = True
+) -> Iterator[tuple[Clip, Rows]]:
+    """The clip of a ray-traced ``scene`` and its truth, in a ``folder`` that keeps them, or in files that vanish; as
+    `rendered`."""
     with tempfile.TemporaryDirectory() as temporary:
-        path = stereo_clip.write(scene, folder or Path(temporary) / "clip")
+        path = stereo_clip.write(scene, folder or Path(temporary) / "clip", states_cameras=states_cameras)
         yield load_clip(path), read_truth(path.parent)
 
 

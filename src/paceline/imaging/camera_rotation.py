@@ -27,6 +27,7 @@ PYRAMID_LEVELS = 2  # a picture may move by some ten pixels
 MAX_RETURN_PX = 0.3  # greatest distance between a corner and where it is tracked back to
 MIN_CORNERS = 20  # least corners that a rotation is fitted to
 MIN_STATIC_SHARE = 0.5  # least share of the corners that a rotation explains: else the camera itself travels
+MAX_STATIC_RESIDUAL_PX = 0.5  # of a corner that it explains
 TUKEY_CONSTANT = 4.685  # residual in standard deviations beyond which Tukey's weight is zero
 MIN_RESIDUAL_PX = 0.02  # residuals of tracked corners are at least those of interpolation
 # Standard deviation of what all corners of a view have in common beside the rotation: how the mast's foot moves, and
@@ -42,8 +43,8 @@ class CameraRotations:
     """The rotations of both cameras in N frames against the reference frame.
 
     ``vectors`` (N, 2, 3) rad are rotation vectors: a point at X in the camera's axes at the reference frame is at R X
-    in those of the frame. ``covariance`` is (N, 2, 3, 3). ``static_share`` (N, 2) is the share of the corners that the
-    rotation explains, 0 where too few were tracked.
+    in those of the frame. ``covariance`` is (N, 2, 3, 3). ``static_share`` (N, 2) is the share of the tracked corners
+    that are where the rotation puts them, 0 where there are too few.
     """
 
     vectors: Array
@@ -71,8 +72,10 @@ class ReferenceView:
         tracked, found = _track(self.image, _picture(image), self.corners)
         if found.sum() < MIN_CORNERS:
             return np.zeros(3), np.eye(3), 0.0
-        vector, covariance, weights = fit_rotation(self.camera, self.corners[found], tracked[found])
-        return vector, covariance, float((weights > 0).sum() / len(self.corners))
+        before, after = self.corners[found], tracked[found]
+        vector, covariance, _ = fit_rotation(self.camera, before, after)
+        distance = np.linalg.norm(after - self.camera.turned(before, vector), axis=1)
+        return vector, covariance, float((distance < MAX_STATIC_RESIDUAL_PX).mean())
 
 
 def estimate_rotations(recording: StereoRecording, reference: int, progress: Progress | None = None) -> CameraRotations:

@@ -27,7 +27,7 @@ from paceline.simulation.raytraced.light import Light
 from paceline.simulation.raytraced.mitsuba_variant import default_variant
 from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
 from paceline.simulation.raytraced.scene import PlacedStereoScene, PlacedVehicle, make_sensor
-from paceline.simulation.raytraced.scene_yaml import SpeedScene
+from paceline.simulation.raytraced.scene_yaml import SpeedScene, StereoErrorsModel
 from paceline.simulation.raytraced.sensor import Lens, Shutter, expose, render_exposure
 from paceline.simulation.video import write_h264
 
@@ -47,7 +47,7 @@ def write(
 ) -> Path:
     """Render ``scene`` into ``directory`` and return the path of its clip.yaml.
 
-    Without ``states_cameras`` neither rig.yaml nor clip.yaml tells how ideal the cameras are.
+    Without ``states_cameras``, and of cameras with errors, neither rig.yaml nor clip.yaml tells how ideal they are.
 
     Pictures that are there already, from a run that was interrupted, are kept. The same scene gives the same pictures
     bit for bit on the same variant of the renderer. Raises UnusableInput where the scene or the folder cannot be used.
@@ -82,7 +82,7 @@ def write(
             else:
                 write_h264(video, map(clip_folder.read_picture, paths), times, placed.errors.crf, streamed=True)
     rig = placed.written_rig
-    if not states_cameras:
+    if not states_cameras or scene.camera_errors != StereoErrorsModel():
         rig, _ = without_statements(rig), clip.pop("synchronised", None)
     _write_documents(placed, rig, clip, truth, directory)
     _remove_temporary_files(directory, scene)

@@ -25,7 +25,7 @@ from paceline.cameras import PosedCamera, StereoRig
 from paceline.documents.assumed_calibration import without_statements
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation import textures
-from paceline.simulation.camera_errors import MovingViews, dirt_transmission, row_bands
+from paceline.simulation.camera_errors import MovingViews, StereoErrors, dirt_transmission, row_bands
 from paceline.simulation.operator import add_drawing_noise, draw_line, is_inside_image
 from paceline.simulation.stereo.scene import (
     PLANE_CLEARANCE_M,
@@ -60,8 +60,8 @@ SCENE_SUBPIXELS_PER_SIDE = 4
 @dataclass(frozen=True, eq=False)
 class RenderedClip:
     """A rendered clip: pictures (H, W) uint8 of the left and the right camera, their times in seconds, the rig, the
-    contents of clip.yaml and of truth.json. Times and rig are those stated, exact but for ``scene.errors``; pictures
-    are uncompressed, and `write` keeps them as `StereoErrors.crf` says."""
+    contents of clip.yaml and of truth.json. Times and rig are those stated, exact but for the cameras' ``errors``;
+    pictures are uncompressed, and `write` keeps them as ``errors.crf`` says."""
 
     left: list[NDArray[np.uint8]]
     right: list[NDArray[np.uint8]]
@@ -70,7 +70,7 @@ class RenderedClip:
     rig: StereoRig
     clip: dict[str, Any]
     truth: list[dict[str, Any]]
-    crf: int | None = None
+    errors: StereoErrors = StereoErrors()
 
 
 class World:
@@ -186,7 +186,7 @@ def render(scene: Scene) -> RenderedClip:
     """
     world = World(scene)
     left, right = _Renderer(world).render()
-    return RenderedClip(left, right, *world.clocks, world.rig, world.clip, world.truth, scene.errors.crf)
+    return RenderedClip(left, right, *world.clocks, world.rig, world.clip, world.truth, scene.errors)
 
 
 class _Renderer:
@@ -334,14 +334,14 @@ def write(rendered: RenderedClip, directory: Path | str, states_cameras: bool = 
     """Write left/ and right/ or left.mp4 and right.mp4, rig.yaml, clip.yaml, truth.json and, where the frames are not
     evenly timed, times.csv into ``directory``; returns the path of clip.yaml.
 
-    Without ``states_cameras`` no file tells how ideal the cameras are.
+    Without ``states_cameras``, and of cameras with errors, no file tells how ideal the cameras are.
     """
     directory = Path(directory)
     times = rendered.times, rendered.right_times
     for side, images, clock in zip(("left", "right"), (rendered.left, rendered.right), times, strict=True):
-        if rendered.crf is not None:
+        if rendered.errors.crf is not None:
             directory.mkdir(parents=True, exist_ok=True)
-            write_h264(directory / f"{side}.mp4", images, clock.tolist(), rendered.crf, streamed=True)
+            write_h264(directory / f"{side}.mp4", images, clock.tolist(), rendered.errors.crf, streamed=True)
             continue
         (directory / side).mkdir(parents=True, exist_ok=True)
         for k, image in enumerate(images):
@@ -353,7 +353,7 @@ def write(rendered: RenderedClip, directory: Path | str, states_cameras: bool = 
 def write_documents(rendered: RenderedClip, directory: Path, states_cameras: bool = True) -> None:
     """Everything of `write` but the pictures."""
     rig, clip = rendered.rig, rendered.clip
-    if not states_cameras:
+    if not states_cameras or rendered.errors != StereoErrors():
         rig, clip = without_statements(rig), {key: clip[key] for key in clip if key != "synchronised"}
     (directory / "rig.yaml").write_text(rig_yaml(rig))
     (directory / "clip.yaml").write_text(yaml.safe_dump(clip, sort_keys=False))
