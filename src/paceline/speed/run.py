@@ -179,7 +179,8 @@ class VehicleMeasurement:
             plane = plane_from_outlines(self.rig, self.vehicle, path, self.configuration.click_sigma)
         frame_times = np.array([np.mean(k.times) for k in self.keyframes])
         times, timing = exposures(self.keyframes, self.rig, self.offset)
-        times, frame_times = times - frame_times[0], frame_times - frame_times[0]
+        outlined = times[0, 0]  # when the left view shows the outline
+        times, frame_times = times - outlined, frame_times - outlined
         driver = self.configuration.driver
         deviation = deviation_of(path, plane, times, speed, drawn is not None, driver, on_curve)
         return Trajectory(
