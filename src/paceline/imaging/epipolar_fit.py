@@ -65,19 +65,10 @@ def fit_epipolar_residuals(
     rows = (right[:, 1] + 0.5) / rig.right.image_size[1] - 0.5
     Q, is_moving = len(root), len(moving.left) >= MIN_MOVING_MATCHES
     X = np.column_stack([*by_rig, is_moving * across, is_moving * across * rows])
-    prior = np.diag([*np.ones(Q), 0.0 if is_moving else 1.0, readout_difference_std**-2.0])
-    x: Array = np.zeros(Q + 2)
-    weights, information = np.ones(len(right)), prior
-    for _ in range(FIT_STEPS if len(right) else 0):
-        misfit = np.abs(residual - X @ x)
-        sigma = max(1.4826 * float(np.median(misfit)), MIN_RESIDUAL_PX)
-        weights = np.maximum(1.0 - (misfit / (TUKEY_CONSTANT * sigma)) ** 2, 0.0) ** 2
-        of_matches = (X.T * weights) / (CORRELATED_MATCHES * sigma**2)
-        information = of_matches @ X + prior
-        x = np.asarray(np.linalg.solve(information, of_matches @ residual), float)
-    covariance = np.linalg.inv(information)
-    explained = X[: len(static.left), :Q] @ x[:Q]
-    by_static = X[: len(static.left), :Q]
+    of_exposures = 0.0 if is_moving else 1.0, readout_difference_std**-2.0
+    x, covariance, weights = _robust_fit(X, residual, np.diag([*np.ones(Q), *of_exposures]))
+    shift = float(np.linalg.norm(x[:Q]))
+    explained, by_static = X[: len(static.left), :Q] @ x[:Q], X[: len(static.left), :Q]
     spread = np.einsum("ni,ij,nj->n", by_static, covariance[:Q, :Q], by_static)
     rms = [float(np.sqrt(values.mean())) if len(values) else 0.0 for values in (explained**2, spread)]
     epipolar_px = Quantity(rms[0], rms[1], "estimated")
@@ -85,13 +76,27 @@ def fit_epipolar_residuals(
     if rig.uncertainty is not None:
         remaining = replace(rig.uncertainty, covariance=root.T @ covariance[:Q, :Q] @ root)
         corrected = replace(perturbed_rig(rig, x[:Q] @ root), uncertainty=remaining)
-    shift = float(np.linalg.norm(x[:Q]))
     used = weights[len(static.left) :] > 0
     if used.sum() < MIN_MOVING_MATCHES:
         return EpipolarFit(corrected, shift, epipolar_px, None)
     speed = float(np.sqrt((across[len(static.left) :][used] ** 2).mean()))
     std = float(np.hypot(np.sqrt(covariance[Q, Q]), COMMON_MOVING_RESIDUAL_PX / speed))
     return EpipolarFit(corrected, shift, epipolar_px, Quantity(float(x[Q]), std, "estimated"))
+
+
+def _robust_fit(X: Array, residual: Array, prior: Array) -> tuple[Array, Array, Array]:
+    """The parameters x (n,) of ``residual`` (N,) px = X x under a ``prior`` information (n, n) about 0, their
+    covariance (n, n), and the weights (N,)."""
+    x: Array = np.zeros(X.shape[1])
+    weights, information = np.ones(len(X)), prior
+    for _ in range(FIT_STEPS if len(X) else 0):
+        misfit = np.abs(residual - X @ x)
+        sigma = max(1.4826 * float(np.median(misfit)), MIN_RESIDUAL_PX)
+        weights = np.maximum(1.0 - (misfit / (TUKEY_CONSTANT * sigma)) ** 2, 0.0) ** 2
+        of_matches = (X.T * weights) / (CORRELATED_MATCHES * sigma**2)
+        information = of_matches @ X + prior
+        x = np.asarray(np.linalg.solve(information, of_matches @ residual), float)
+    return x, np.asarray(np.linalg.inv(information)), weights
 
 
 def velocity_across(rig: StereoRig, left: Array, right: Array, velocity: Array) -> Array:

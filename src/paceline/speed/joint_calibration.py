@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from paceline.arrays import Array
 from paceline.speed import acceptance
 from paceline.speed.configuration import DEFAULTS, JointCalibrationSettings, SpeedConfiguration
 from paceline.speed.refinement.photometric_fit import MIN_INFORMATION_SHARE
-from paceline.speed.results import ExposureEstimate, Measurement, RigInformation, Track
+from paceline.speed.results import ExposureEstimate, Measurement, RigInformation, Synchronisation, Track
 from paceline.units import COVERAGE_95
 from paceline.verdicts import message
 
@@ -94,11 +95,30 @@ def combine_consistent(
     return prior, np.full(len(evidence), False)
 
 
+def moments(rig: CanonicalGaussian, synchronisation: Synchronisation | None) -> tuple[Array, Array]:
+    """Mean (Q,) and covariance (Q, Q) of a ``rig`` whose cameras may be triggered together, by model averaging.
+
+    The odds of that are the ratio of the posterior and the prior density of no offset (Savage–Dickey).
+    """
+    mean, C = rig.mean, rig.covariance
+    if synchronisation is None:
+        return mean, C
+    i = synchronisation.direction
+    gain = C[:, i] / C[i, i]
+    together = gain * (synchronisation.value - mean[i])
+    density = norm.pdf(synchronisation.value, mean[i], np.sqrt(C[i, i]))
+    probability = density / (density + synchronisation.density)
+    covariance = C - probability * np.outer(gain, C[i])
+    covariance += probability * (1.0 - probability) * np.outer(together, together)
+    return mean + probability * together, covariance
+
+
 def corrected(m: Measurement, rig: CanonicalGaussian) -> Measurement:
     """``m`` with its speeds at the estimated ``rig``, whose covariance gives the systematic part."""
     information = m.rig_information
     assert information is not None
-    change, covariance = rig.mean - information.offset, rig.covariance
+    mean, covariance = moments(rig, information.synchronisation)
+    change = mean - information.offset
     systematic = float(np.sqrt(information.mean_speed_gradient @ covariance @ information.mean_speed_gradient))
     half_width = float(np.hypot(information.half_width, COVERAGE_95 * systematic))
     speed = m.speed + float(information.mean_speed_gradient @ change)
@@ -146,8 +166,8 @@ def with_neighbours(
 ) -> Measurement:
     """``m`` corrected to the rig that it and its `neighbours` among ``others`` determine, with a new verdict.
 
-    It is rejected if it contradicts the other vehicles, or if all of them contradict rig.yaml; unchanged where no two
-    vehicles are consistent.
+    It is rejected if it contradicts the other vehicles, or if all of them contradict rig.yaml. Where no two vehicles
+    are consistent, only the chance that both cameras are triggered together is taken into account.
     """
     if m.rig_information is None:
         return m
@@ -156,7 +176,9 @@ def with_neighbours(
     limit = configuration.limits.rig_shift_sigma
     posterior, used = combine_consistent(evidence, limit)
     if not used.any():
-        return m
+        if m.rig_information.synchronisation is None:
+            return m
+        posterior, used[-1] = rig_prior(len(m.rig_information.offset)) + evidence[-1], True
     count, prior = int(used.sum()), rig_prior(len(m.rig_information.offset))
     if not used[-1]:
         shift = shift_sigma(posterior, evidence[-1])
@@ -185,9 +207,10 @@ def estimate_exposures(measurements: Sequence[Measurement]) -> dict[str, Exposur
     alone = rig_prior(len(evidence[0].score)) + evidence[0]
     posterior = combine_consistent(evidence)[0] if len(evidence) > 1 else alone
     first = len(posterior.score) - len(stds)
-    spread = np.sqrt(np.diag(posterior.covariance))
+    mean, covariance = moments(posterior, informed[0][1].synchronisation)
+    spread = np.sqrt(np.diag(covariance))
     effects = np.median([np.abs(r.mean_speed_gradient * spread) / max(m.speed, 1e-9) for m, r in informed], axis=0)
     return {
-        name: ExposureEstimate(float(std * posterior.mean[i]), float(std * spread[i]), float(effects[i]))
+        name: ExposureEstimate(float(std * mean[i]), float(std * spread[i]), float(effects[i]))
         for i, (name, std) in enumerate(stds.items(), first)
     }

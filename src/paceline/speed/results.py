@@ -43,6 +43,16 @@ class Track:
     refined_std: Array  # (N,) m/s, systematic part included where known; NaN without refinement
 
 
+@dataclass(frozen=True)
+class Synchronisation:
+    """Both cameras may be triggered together, as likely as not: then the cameras' offset is ``value`` in its
+    ``direction``; else it has the prior ``density`` there."""
+
+    direction: int
+    value: float
+    density: float
+
+
 @dataclass(frozen=True, eq=False)
 class RigInformation:
     """What one vehicle's images determine of the cameras, in Q directions, in standard uncertainties beforehand.
@@ -62,6 +72,7 @@ class RigInformation:
     speed_jacobian: Array
     speed_stds: Array
     exposure_stds: dict[str, float] = field(default_factory=dict)
+    synchronisation: Synchronisation | None = None  # None where the offset between the views is stated
 
 
 @dataclass(frozen=True, eq=False)

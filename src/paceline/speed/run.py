@@ -27,7 +27,7 @@ from paceline.speed.refinement.model_selection import RefinedMotion, refine
 from paceline.speed.refinement.path_deviation import deviation_of, heading_innovation
 from paceline.speed.refinement.self_calibration import RigEstimate
 from paceline.speed.refinement.trajectory import Trajectory
-from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Track
+from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Synchronisation, Track
 from paceline.units import COVERAGE_95
 from paceline.verdicts import Message, message, plural
 
@@ -250,7 +250,20 @@ class VehicleMeasurement:
             speed_jacobian=self._by_row(gradients @ fit.response),
             speed_stds=self._by_row(np.sqrt(variances)),
             exposure_stds=refined.trajectory.timing.stds,
+            synchronisation=self._synchronisation(refined),
         )
+
+    def _synchronisation(self, refined: RefinedMotion) -> Synchronisation | None:
+        """What it means for the offset between the views that both cameras may be triggered together.
+
+        If they are not, it is anywhere within half a frame interval.
+        """
+        stds = refined.trajectory.timing.stds
+        if self.offset is None or self.offset.source == "stated" or "offset" not in stds:
+            return None
+        direction = len(refined.rig_shift_sigma) - len(stds) + list(stds).index("offset")
+        interval = float(np.median(np.diff([e.time for e in self.estimates])))
+        return Synchronisation(direction, -self.offset.value / stds["offset"], stds["offset"] / interval)
 
     def _by_row(self, fitted: Array) -> Array:
         """``fitted`` (F, …) at the keyframes, by the rows of the track: NaN at other frames."""
