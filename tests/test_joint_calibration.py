@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import binom, chi2
+from scipy.stats import binom, chi2, norm
 from tiny_road import TWO, scene
 
 from paceline.cameras import RigUncertainty, perturbed_rig
@@ -25,6 +25,7 @@ from paceline.speed.joint_calibration import (
     calibrate_jointly,
     combine_consistent,
     corrected,
+    moments,
     neighbours,
     rig_evidence,
     rig_prior,
@@ -33,7 +34,7 @@ from paceline.speed.joint_calibration import (
     with_neighbours,
 )
 from paceline.speed.measurement import measure_clip
-from paceline.speed.results import Measurement, RigInformation, Track
+from paceline.speed.results import Measurement, RigInformation, Synchronisation, Track
 
 NEIGHBOURS, WINDOW_S = DEFAULTS.joint_calibration.neighbours, DEFAULTS.joint_calibration.window_s
 Array = NDArray[np.float64]
@@ -361,3 +362,19 @@ def test_a_tolerance_applies_after_joint_calibration(two: Clip) -> None:
     verdicts = [m.verdict for m in measure_clip(clip, SpeedConfiguration(tolerance=between)).measurements]
     assert verdicts == ["measured" if half <= between else "rejected" for half in halves]
     assert sorted(verdicts) == ["measured", "rejected"]
+
+
+def test_the_moments_of_cameras_that_may_be_triggered_together_are_those_of_the_mixture():
+    rng, C = np.random.default_rng(8), np.array([[0.5, 0.2, -0.1], [0.2, 0.4, 0.05], [-0.1, 0.05, 0.3]])
+    mean, s = np.array([0.3, -0.4, 0.1]), Synchronisation(direction=1, value=0.2, density=0.35)
+    precision = np.linalg.inv(C)
+    found = moments(CanonicalGaussian(precision, precision @ mean), s)
+    odds = norm.pdf(0.2, mean[1], np.sqrt(C[1, 1])) / 0.35
+    count = 400_000
+    free = rng.multivariate_normal(mean, C, count)
+    # given the offset, the others follow by regression
+    others = free - np.outer(free[:, 1] - 0.2, C[1] / C[1, 1])
+    mixture = np.where(rng.random(count)[:, None] < odds / (1.0 + odds), others, free)
+    np.testing.assert_allclose(found[0], mixture.mean(0), atol=5 * np.sqrt(0.5 / count))
+    np.testing.assert_allclose(found[1], np.cov(mixture.T), atol=0.01)
+    np.testing.assert_allclose(moments(CanonicalGaussian(precision, precision @ mean), None)[1], C)
