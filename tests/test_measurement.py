@@ -21,6 +21,7 @@ from selection import slow_after
 
 import paceline
 from paceline import cli
+from paceline.imaging.recorded_cameras import estimate_cameras
 from paceline.simulation.random_scenes.drawn import random_crossing
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 from paceline.speed.configuration import SpeedConfiguration
@@ -508,13 +509,14 @@ def test_the_python_api_gives_the_same_result(command: Command, clip: Path, tmp_
 
 def test_a_loop_over_frames(clip: Path) -> None:
     """An estimate with every frame, the filter's own of the whole measurement."""
-    document = paceline.load_clip(clip)
+    cameras = estimate_cameras(paceline.load_clip(clip), paceline.open_recording(paceline.load_clip(clip)))
+    document = cameras.clip
     vehicle, lane = document.vehicles[0], document.paths["lane0"]
     tracker = paceline.Tracker(document.rig, vehicle, path_from_document(lane, document.rig), lane.lateral_offset)
 
     def stream() -> Iterator[float]:
-        for frame in paceline.open_recording(document).frames(vehicle.frame):
+        for frame in cameras.recording.frames(vehicle.frame):
             yield tracker.update(frame).speed
 
-    whole = paceline.measure(document, paceline.SpeedConfiguration(refine=False)).measurements[0]
+    whole = paceline.measure(clip, paceline.SpeedConfiguration(refine=False)).measurements[0]
     np.testing.assert_array_equal(list(stream()), whole.track.speed)

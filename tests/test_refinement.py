@@ -22,6 +22,8 @@ from selection import slow_after
 from paceline.cameras import RigUncertainty, perturbed_rig
 from paceline.documents.assumed_calibration import with_assumed_uncertainty
 from paceline.documents.loading import Clip, load_clip
+from paceline.imaging.recorded_cameras import estimate_cameras
+from paceline.recordings.stereo import open_recording
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes.drawn import random_crossing, random_scene
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
@@ -33,6 +35,7 @@ from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
 from paceline.speed.refinement.photometric_fit import (
     COMMON_DISPARITY_STD_PX,
+    COMMON_EPIPOLAR_STD_PX,
     FIXED_INFORMATION,
     GAMMA_RANGE,
     PATCH_GRIDS,
@@ -775,7 +778,7 @@ def refitted(fit: PhotometricFit, trajectory: Trajectory) -> PhotometricFit:
     return other
 
 
-def test_the_covariance_by_disparities_equals_refits_with_shifted_right_views(
+def test_the_covariance_by_matching_equals_refits_with_shifted_right_views(
     rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fit, _ = fitted(load_clip(rendered(scene("approaching", 14.0, 2, frames=14))))
@@ -783,10 +786,13 @@ def test_the_covariance_by_disparities_equals_refits_with_shifted_right_views(
     keep_weights(fit, monkeypatch)
     rig = fit.trajectory.rig
     shift = np.zeros((3, 3))
-    shift[:2, 2] = COMMON_DISPARITY_STD_PX * rig.t[:2] / np.linalg.norm(rig.t[:2])
-    rigs = [replace(rig, right=replace(rig.right, K=rig.right.K + step * shift)) for step in (-5.0, 5.0)]
-    behind, ahead = (mean @ refitted(fit, replace(fit.trajectory, rig=r)).theta for r in rigs)
-    assert abs(ahead - behind) / 10 == pytest.approx(np.sqrt(mean @ fit.disparity_covariance @ mean), rel=0.05)
+    along = rig.t[:2] / np.linalg.norm(rig.t[:2])
+    effects = []
+    for shift[:2, 2] in (COMMON_DISPARITY_STD_PX * along, COMMON_EPIPOLAR_STD_PX * along[::-1] * [-1, 1]):
+        rigs = [replace(rig, right=replace(rig.right, K=rig.right.K + step * shift)) for step in (-5.0, 5.0)]
+        behind, ahead = (mean @ refitted(fit, replace(fit.trajectory, rig=r)).theta for r in rigs)
+        effects.append((ahead - behind) / 10)
+    assert np.hypot(*effects) == pytest.approx(np.sqrt(mean @ fit.matching_covariance @ mean), rel=0.05)
 
 
 def test_the_response_to_the_rig_equals_refits_with_a_moved_rig(
@@ -823,10 +829,14 @@ def test_the_rig_information_belongs_to_the_reported_motion(
         return seen[-1]
 
     monkeypatch.setattr("paceline.speed.run.refine", refined)
-    (m,) = measure_clip(replace(clip, rig=replace(clip.rig, uncertainty=known))).measurements
+    certain = replace(clip, rig=replace(clip.rig, uncertainty=known))
+    (m,) = measure_clip(certain).measurements
     fit, shares = seen[-1].rig_estimate, seen[-1].trajectory.mean_speed_gradient
     assert fit is not None and m.rig_information is not None
-    moved = perturbed_rig(clip.rig, fit.offset @ known.covariance_root[known.covariance_root.any(1)])
+    before = estimate_cameras(certain, open_recording(certain)).clip.rig  # corrected by what static points show
+    assert before.uncertainty is not None
+    root = before.uncertainty.covariance_root
+    moved = perturbed_rig(before, fit.offset @ root[root.any(1)])
     np.testing.assert_allclose(seen[-1].trajectory.rig.t, moved.t, atol=1e-12)
     np.testing.assert_allclose(seen[-1].trajectory.rig.left.K, moved.left.K, atol=1e-9)
     noise, doubt = (float(np.sqrt(shares @ C @ shares)) for C in (fit.covariance, seen[-1].model_covariance))

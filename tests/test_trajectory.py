@@ -55,7 +55,7 @@ def trajectory_on(path, times=(0.0, 0.2, 0.4, 0.8)):
     )
     deviation = deviation_modes(path, path.nearest(plane.centre), 20.0, on_path=True)
     exact = ExposureTiming(np.zeros((0, len(times), 2)))
-    return Trajectory(RIG, QUAD, plane, path, np.stack([times, times], axis=1), deviation, times, exact)
+    return Trajectory(RIG, QUAD, plane, path, np.stack([times, times], axis=1), deviation, np.array(times), exact)
 
 
 def start_of(t, depth=30.0, speed=15.0):

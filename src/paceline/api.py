@@ -17,6 +17,7 @@ from paceline.detection.finder import VehicleFinder
 from paceline.detection.lane_paths import lane_paths_of
 from paceline.documents.loading import Clip, load_clip
 from paceline.errors import UnusableInput
+from paceline.imaging.recorded_cameras import estimate_cameras
 from paceline.progress import Progress
 from paceline.recordings.background import background_problem, estimate_background
 from paceline.recordings.stereo import StereoFrame, open_recording
@@ -48,7 +49,8 @@ def track(
     """
     loaded = _resolve_clip(clip)
     if frames is None:
-        recording = open_recording(loaded)
+        cameras = estimate_cameras(loaded, open_recording(loaded))
+        loaded, recording = cameras.clip, cameras.recording
         if not loaded.vehicles:
             loaded = search.find_vehicles(loaded, recording, configuration=configuration or DEFAULTS).clip
         frames = recording.frames(min((v.frame for v in loaded.vehicles), default=0))

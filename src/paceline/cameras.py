@@ -167,7 +167,9 @@ class RigUncertainty:
             np.maximum(np.diag(self.covariance), 1e-300)
         )  # the units differ: eigenvectors of the correlations
         share, axes = np.linalg.eigh(self.covariance / np.outer(size, size))
-        return np.asarray((axes * np.sqrt(np.maximum(share, 0.0))).T * size)
+        # what is left of a direction that is determined exactly is the error of its number
+        share = np.where(share > 1e-12 * share.max(), share, 0.0)
+        return np.asarray((axes * np.sqrt(share)).T * size)
 
 
 @dataclass(frozen=True, eq=False)

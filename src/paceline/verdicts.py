@@ -291,7 +291,7 @@ _WARNING_ROWS = {
     "calibration_stale": (
         "static points are {epipolar_px:.1f} px off their epipolar lines, {shift:.1f} standard deviations of the "
         "calibration, which is corrected for as far as it shows",
-        "`paceline rig check` says how the cameras have moved; calibrate anew.",
+        "Calibrate anew; `paceline rig check` says how the cameras have moved.",
     ),
     "no_common_clock": (
         "no common clock: frames that come together are taken as exposed together",

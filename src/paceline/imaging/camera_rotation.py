@@ -20,21 +20,21 @@ from paceline.recordings.stereo import StereoRecording
 
 CORNERS = 200  # of the reference frame, in each view
 CORNER_DISTANCE_PX = 20
-CORNER_QUALITY = 0.005  # least eigenvalue of a corner's structure, as a share of the best corner's
+STATIC_CORNER_QUALITY = 0.005  # least eigenvalue of a corner's structure, as a share of the best corner's
 TRACKING_WINDOW_PX = (15, 15)
 TRACKING_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)  # 30 iterations, 0.01 px
-PYRAMID_LEVELS = 2  # a picture may move by some ten pixels
-MAX_RETURN_PX = 0.3  # greatest distance between a corner and where it is tracked back to
-MIN_CORNERS = 20  # least corners that a rotation is fitted to
+TRACKING_LEVELS = 2  # a picture may move by some ten pixels
+MAX_CORNER_RETURN_PX = 0.3  # greatest distance between a corner and where it is tracked back to
+MIN_STATIC_CORNERS = 20  # least corners that a rotation is fitted to
 MIN_STATIC_SHARE = 0.5  # least share of the corners that a rotation explains: else the camera itself travels
 MAX_STATIC_RESIDUAL_PX = 0.5  # of a corner that it explains
-TUKEY_CONSTANT = 4.685  # residual in standard deviations beyond which Tukey's weight is zero
-MIN_RESIDUAL_PX = 0.02  # residuals of tracked corners are at least those of interpolation
+TUKEY_SIGMA = 4.685  # residual in standard deviations beyond which Tukey's weight is zero
+MIN_CORNER_RESIDUAL_PX = 0.02  # residuals of tracked corners are at least those of interpolation
 # Standard deviation of what all corners of a view have in common beside the rotation: how the mast's foot moves, and
 # how the light does; measured on swaying clips with known rotations
 COMMON_MOTION_PX = 0.01
 MIN_LOG_ODDS = 3.0  # of a camera that turns over one that does not
-FIT_STEPS = 20
+ROTATION_FIT_STEPS = 20
 CONVERGED_STEP_RAD = 1e-9
 
 
@@ -62,15 +62,15 @@ class ReferenceView:
 
     def __init__(self, camera: Camera, image: Image) -> None:
         self.camera, self.image = camera, _picture(image)
-        corners = cv2.goodFeaturesToTrack(self.image, CORNERS, CORNER_QUALITY, CORNER_DISTANCE_PX, blockSize=7)
+        corners = cv2.goodFeaturesToTrack(self.image, CORNERS, STATIC_CORNER_QUALITY, CORNER_DISTANCE_PX, blockSize=7)
         self.corners = np.zeros((0, 2)) if corners is None else np.asarray(corners[:, 0], float)
 
     def rotation_in(self, image: Image) -> tuple[Array, Array, float]:
         """The rotation vector (3,) of the camera in ``image`` (H, W), its covariance (3, 3) and the static share."""
-        if len(self.corners) < MIN_CORNERS:
+        if len(self.corners) < MIN_STATIC_CORNERS:
             return np.zeros(3), np.eye(3), 0.0
         tracked, found = _track(self.image, _picture(image), self.corners)
-        if found.sum() < MIN_CORNERS:
+        if found.sum() < MIN_STATIC_CORNERS:
             return np.zeros(3), np.eye(3), 0.0
         before, after = self.corners[found], tracked[found]
         vector, covariance, _ = fit_rotation(self.camera, before, after)
@@ -101,13 +101,13 @@ def fit_rotation(camera: Camera, before: Array, after: Array) -> tuple[Array, Ar
     """The rotation vector (3,) that moves points ``before`` (N, 2) px to ``after`` (N, 2), its covariance (3, 3) and
     the weights (N,) of the points, 0 for those that it does not explain."""
     R = np.eye(3)
-    for _ in range(FIT_STEPS):
+    for _ in range(ROTATION_FIT_STEPS):
         moved = camera.project(camera.rays(before) @ R.T)
         residual, J = after - moved, rotation_jacobian(camera, moved)
         distance = np.linalg.norm(residual, axis=1)
         # the median of a Rayleigh distribution is 1.177 standard deviations
-        sigma = max(float(np.median(distance)) / 1.177, MIN_RESIDUAL_PX)
-        weights = np.maximum(1.0 - (distance / (TUKEY_CONSTANT * sigma)) ** 2, 0.0) ** 2
+        sigma = max(float(np.median(distance)) / 1.177, MIN_CORNER_RESIDUAL_PX)
+        weights = np.maximum(1.0 - (distance / (TUKEY_SIGMA * sigma)) ** 2, 0.0) ** 2
         A = np.einsum("n,nij,nik->jk", weights, J, J)
         step = np.linalg.solve(A, np.einsum("n,nij,ni->j", weights, J, residual))
         R = cv2.Rodrigues(step)[0] @ R
@@ -140,11 +140,11 @@ def expected_rotations(rotations: CameraRotations) -> Array:
 def _track(reference: NDArray[np.uint8], image: NDArray[np.uint8], corners: Array) -> tuple[Array, Mask]:
     """Where ``corners`` (N, 2) px of ``reference`` are in ``image``, and which of them are tracked back (N,)."""
     start = corners.astype(np.float32)
-    options = (None, None, TRACKING_WINDOW_PX, PYRAMID_LEVELS, TRACKING_CRITERIA)
-    there, found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(reference, image, start, np.empty(0), *options))
-    back, returned, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(image, reference, there, np.empty(0), *options))
-    near = np.linalg.norm(back - start, axis=1) < MAX_RETURN_PX
-    return np.asarray(there, float), near & (found.ravel() == 1) & (returned.ravel() == 1)
+    options = (None, None, TRACKING_WINDOW_PX, TRACKING_LEVELS, TRACKING_CRITERIA)
+    tracked, found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(reference, image, start, np.empty(0), *options))
+    back, returned, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(image, reference, tracked, np.empty(0), *options))
+    near = np.linalg.norm(back - start, axis=1) < MAX_CORNER_RETURN_PX
+    return np.asarray(tracked, float), near & (found.ravel() == 1) & (returned.ravel() == 1)
 
 
 def _picture(image: Image) -> NDArray[np.uint8]:

@@ -17,17 +17,17 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import Quantity, StereoRig, perturbed_rig
 from paceline.geometry import epipolar_distance, homogeneous
+from paceline.imaging.camera_rotation import TUKEY_SIGMA
 from paceline.imaging.feature_matches import Matches
 
 MIN_MOVING_MATCHES = 12
-TUKEY_CONSTANT = 4.685  # residual in standard deviations beyond which Tukey's weight is zero
-MIN_RESIDUAL_PX = 0.03  # residuals of refined matches are at least those of interpolation
+MIN_MATCH_RESIDUAL_PX = 0.03  # residuals of refined matches are at least those of interpolation
 CORRELATED_MATCHES = 4.0  # neighbouring matches that share their errors
 # Standard deviation of an epipolar residual that all matches of moving points share, by what else than the vehicle lies
 # in their windows; seen on clips with known offsets
 COMMON_MOVING_RESIDUAL_PX = 0.03
-DIFFERENCE_STEP = 1e-2  # step of finite differences, in prior standard deviations
-FIT_STEPS = 30
+RIG_STEP_SIGMA = 1e-2  # step of finite differences, in prior standard deviations
+RESIDUAL_FIT_STEPS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ def fit_epipolar_residuals(
     root = np.zeros((0, 14)) if rig.uncertainty is None else rig.uncertainty.covariance_root
     residual = epipolar_distance(rig, left, right)
     by_rig = [
-        (residual - epipolar_distance(perturbed_rig(rig, DIFFERENCE_STEP * change), left, right)) / DIFFERENCE_STEP
+        (residual - epipolar_distance(perturbed_rig(rig, RIG_STEP_SIGMA * change), left, right)) / RIG_STEP_SIGMA
         for change in root
     ]
     across = velocity_across(rig, left, right, np.concatenate([static.velocity, moving.velocity]))
@@ -89,10 +89,10 @@ def _robust_fit(X: Array, residual: Array, prior: Array) -> tuple[Array, Array, 
     covariance (n, n), and the weights (N,)."""
     x: Array = np.zeros(X.shape[1])
     weights, information = np.ones(len(X)), prior
-    for _ in range(FIT_STEPS if len(X) else 0):
+    for _ in range(RESIDUAL_FIT_STEPS if len(X) else 0):
         misfit = np.abs(residual - X @ x)
-        sigma = max(1.4826 * float(np.median(misfit)), MIN_RESIDUAL_PX)
-        weights = np.maximum(1.0 - (misfit / (TUKEY_CONSTANT * sigma)) ** 2, 0.0) ** 2
+        sigma = max(1.4826 * float(np.median(misfit)), MIN_MATCH_RESIDUAL_PX)
+        weights = np.maximum(1.0 - (misfit / (TUKEY_SIGMA * sigma)) ** 2, 0.0) ** 2
         of_matches = (X.T * weights) / (CORRELATED_MATCHES * sigma**2)
         information = of_matches @ X + prior
         x = np.asarray(np.linalg.solve(information, of_matches @ residual), float)

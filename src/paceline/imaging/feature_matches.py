@@ -31,13 +31,13 @@ MIN_MOTION_GREY = 3.0  # … and at least in grey levels
 NOISE_STEP_PX = 4  # distance between the pixels from which the noise is estimated
 MARGIN_PX = 6  # around what moves, in reduced pixels
 MAX_REGIONS = 12  # moving regions of a picture, the largest
-MIN_REGION_PX = 400  # least area of one with its margin, in reduced pixels
+MIN_MOVING_AREA_PX = 400  # least area of one with its margin, in reduced pixels
 MAX_EPIPOLAR_PX = 8.0  # of a match: the calibration's error and the offset together
-CONTRAST_THRESHOLD = 0.02  # of features, half of OpenCV's: far vehicles are small and faint
+FEATURE_CONTRAST = 0.02  # of features, half of OpenCV's: far vehicles are small and faint
 MAX_RATIO = 0.85  # Lowe's ratio of the best match's distance to that of the second best
-MAX_REFINEMENT_PX, MAX_RETURN_PX = 2.0, 0.15  # by which a match is refined; by which it fails to come back
+MAX_REFINEMENT_PX, MAX_MATCH_RETURN_PX = 2.0, 0.15  # by which a match is refined; by which it fails to come back
 REFINEMENT_WINDOW_PX = (15, 15)
-FLOW_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005)  # 30 iterations, 0.005 px
+REFINEMENT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005)  # 30 iterations, 0.005 px
 MAX_ACCELERATION_SHARE = 0.5  # difference between a point's displacements before and after over their sum
 MIN_DISPLACEMENT_PX = 1.0
 
@@ -56,7 +56,7 @@ NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)))
 
 def match_views(recording: StereoRecording) -> tuple[Matches, Matches]:
     """The matches of static and of moving points of the beginning of ``recording``."""
-    rig, detector = recording.rig, cv2.SIFT.create(contrastThreshold=CONTRAST_THRESHOLD)
+    rig, detector = recording.rig, cv2.SIFT.create(contrastThreshold=FEATURE_CONTRAST)
     moving: list[Matches] = [NO_MATCHES]
     static: Matches | None = None
     for before, frame, after in _instants(recording):
@@ -126,10 +126,10 @@ def _match_moving(
     pairs = _match_views(rig, frame, (left, descriptors), (right, described))
     places = []
     for other, mask in ((before, regions[0][0]), (after, regions[0][2])):
-        there, described = _features(detector, other.left, mask)
+        found, described = _features(detector, other.left, mask)
         i, j = match_descriptors(descriptors, described, MAX_RATIO)
         place = np.full_like(left, np.nan)
-        place[i] = there[j]
+        place[i] = found[j]
         places.append(place)
     rows = (left[:, None] == pairs.left[None]).all(-1).argmax(0) if len(left) else np.zeros(0, np.int64)
     behind, ahead = left[rows] - places[0][rows], places[1][rows] - left[rows]
@@ -153,8 +153,8 @@ def _match_views(
     rig: StereoRig, frame: StereoFrame, of_left: tuple[Array, Descriptors], of_right: tuple[Array, Descriptors]
 ) -> Matches:
     """Matches between the features of the two views of ``frame``, refined to sub-pixels, with velocities of zero."""
-    (left, described), (right, there) = of_left, of_right
-    i, j = match_descriptors(described, there, MAX_RATIO)
+    (left, described), (right, described_right) = of_left, of_right
+    i, j = match_descriptors(described, described_right, MAX_RATIO)
     near = np.abs(epipolar_distance(rig, left[i], right[j])) < MAX_EPIPOLAR_PX
     left, right = left[i][near], right[j][near]
     right, refined = _refine(_picture(frame.left), _picture(frame.right), left, right)
@@ -166,13 +166,13 @@ def _features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array, Desc
     (n, 128)."""
     grown = _with_margin(mask)
     _, _, stats, _ = cv2.connectedComponentsWithStats(grown)
-    boxes = sorted((s for s in stats[1:].tolist() if s[4] >= MIN_REGION_PX), key=lambda s: -s[4])[:MAX_REGIONS]
+    boxes = sorted((s for s in stats[1:].tolist() if s[4] >= MIN_MOVING_AREA_PX), key=lambda s: -s[4])[:MAX_REGIONS]
     places, descriptors = [np.empty((0, 2))], [np.empty((0, 128), np.float32)]
     for x, y, width, height, _ in boxes:
-        whole = grown[y : y + height, x : x + width].repeat(REDUCTION, 0).repeat(REDUCTION, 1)
+        crop_mask = grown[y : y + height, x : x + width].repeat(REDUCTION, 0).repeat(REDUCTION, 1)
         corner = np.array([x, y]) * REDUCTION
-        crop = image[corner[1] : corner[1] + whole.shape[0], corner[0] : corner[0] + whole.shape[1]]
-        found, described = detect_features(detector, crop, whole[: crop.shape[0], : crop.shape[1]])
+        crop = image[corner[1] : corner[1] + crop_mask.shape[0], corner[0] : corner[0] + crop_mask.shape[1]]
+        found, described = detect_features(detector, crop, crop_mask[: crop.shape[0], : crop.shape[1]])
         places.append(found + corner)
         descriptors.append(described)
     return np.concatenate(places), np.concatenate(descriptors)
@@ -184,12 +184,12 @@ def _refine(left: NDArray[np.uint8], right: NDArray[np.uint8], places: Array, ma
     if not len(places):
         return matched, np.zeros(0, bool)
     start, guess = places.astype(np.float32), matched.astype(np.float32)
-    options = (None, None, REFINEMENT_WINDOW_PX, 0, FLOW_CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW)
-    there, found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(left, right, start, guess.copy(), *options))
-    back, returned, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(right, left, there, start.copy(), *options))
-    near = np.linalg.norm(there - guess, axis=1) < MAX_REFINEMENT_PX
-    near &= np.linalg.norm(back - start, axis=1) < MAX_RETURN_PX
-    return np.asarray(there, float), near & (found.ravel() == 1) & (returned.ravel() == 1)
+    options = (None, None, REFINEMENT_WINDOW_PX, 0, REFINEMENT_CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW)
+    refined, found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(left, right, start, guess.copy(), *options))
+    back, returned, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(right, left, refined, start.copy(), *options))
+    near = np.linalg.norm(refined - guess, axis=1) < MAX_REFINEMENT_PX
+    near &= np.linalg.norm(back - start, axis=1) < MAX_MATCH_RETURN_PX
+    return np.asarray(refined, float), near & (found.ravel() == 1) & (returned.ravel() == 1)
 
 
 def _picture(image: Image) -> NDArray[np.uint8]:

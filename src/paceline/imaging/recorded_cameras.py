@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import norm
 
 from paceline.arrays import Array, Indices
+from paceline.blas import on_one_blas_thread
 from paceline.cameras import VIEW_NAMES, Camera, Quantity, StereoRig
 from paceline.documents.loading import Clip
 from paceline.imaging.camera_rotation import CameraRotations, estimate_rotations, expected_rotations
@@ -76,6 +77,7 @@ class RecordedCameras:
         }
 
 
+@on_one_blas_thread
 def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress | None = None) -> RecordedCameras:
     """What ``recording`` tells of the cameras of ``clip``, and both corrected for it.
 
@@ -88,8 +90,8 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     fit = fit_epipolar_residuals(rig, *match_views(steady), readout_difference_std(rig))
     offset = clip.offset or expected_offset(fit.offset, recording.pairing.interval)
     steady = steady.corrected(offset.value, steady.rotations)
-    seen = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit)
-    return replace(seen, clip=with_steady_outlines(seen))
+    cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit)
+    return replace(cameras, clip=with_steady_outlines(cameras))
 
 
 def expected_offset(estimate: Quantity | None, interval: float) -> Quantity:
@@ -101,8 +103,8 @@ def expected_offset(estimate: Quantity | None, interval: float) -> Quantity:
     """
     if estimate is None:
         return Quantity(0.0, interval / 2, "assumed")
-    together = norm.pdf(estimate.value, scale=estimate.std)
-    value = estimate.value / (1.0 + interval * together)
+    density = norm.pdf(estimate.value, scale=estimate.std)
+    value = estimate.value / (1.0 + interval * density)
     return Quantity(value, float(np.hypot(estimate.std, estimate.value - value)), "estimated")
 
 
@@ -117,20 +119,20 @@ def readout_difference_std(rig: StereoRig) -> float:
     return max(float(np.hypot(left, right)), 1e-9)
 
 
-def with_steady_outlines(seen: RecordedCameras) -> Clip:
+def with_steady_outlines(cameras: RecordedCameras) -> Clip:
     """The clip with the outlines of its vehicles, each drawn on a picture as recorded, where cameras that do not turn
     see them."""
-    vectors, clip = seen.recording.rotations, seen.clip
+    vectors, clip = cameras.recording.rotations, cameras.clip
     if vectors is None:
         return clip
-    index_of = {int(frame): n for n, frame in enumerate(seen.recording.indices)}
+    index_of = {int(frame): n for n, frame in enumerate(cameras.recording.indices)}
     vehicles = []
     for vehicle in clip.vehicles:
         if (n := index_of.get(vehicle.frame)) is not None:
             left, right = (
                 camera.turned(outline, -vector)
                 for camera, outline, vector in zip(
-                    seen.recording.rig.cameras, (vehicle.left, vehicle.right), vectors[n], strict=True
+                    cameras.recording.rig.cameras, (vehicle.left, vehicle.right), vectors[n], strict=True
                 )
             )
             vehicle = replace(vehicle, left=left, right=right)

@@ -105,12 +105,12 @@ def moments(rig: CanonicalGaussian, synchronisation: Synchronisation | None) -> 
         return mean, C
     i = synchronisation.direction
     gain = C[:, i] / C[i, i]
-    together = gain * (synchronisation.value - mean[i])
+    change = gain * (synchronisation.value - mean[i])
     density = norm.pdf(synchronisation.value, mean[i], np.sqrt(C[i, i]))
     probability = density / (density + synchronisation.density)
     covariance = C - probability * np.outer(gain, C[i])
-    covariance += probability * (1.0 - probability) * np.outer(together, together)
-    return mean + probability * together, covariance
+    covariance += probability * (1.0 - probability) * np.outer(change, change)
+    return mean + probability * change, covariance
 
 
 def corrected(m: Measurement, rig: CanonicalGaussian) -> Measurement:
@@ -204,8 +204,8 @@ def estimate_exposures(measurements: Sequence[Measurement]) -> dict[str, Exposur
     if not informed or not (stds := informed[0][1].exposure_stds):
         return {}
     evidence = [rig_evidence(information) for _, information in informed]
-    alone = rig_prior(len(evidence[0].score)) + evidence[0]
-    posterior = combine_consistent(evidence)[0] if len(evidence) > 1 else alone
+    single = rig_prior(len(evidence[0].score)) + evidence[0]
+    posterior = combine_consistent(evidence)[0] if len(evidence) > 1 else single
     first = len(posterior.score) - len(stds)
     mean, covariance = moments(posterior, informed[0][1].synchronisation)
     spread = np.sqrt(np.diag(covariance))

@@ -102,12 +102,12 @@ def measure(
 
     ``progress`` is called with frames done and frames in all. Raises UnusableInput.
     """
-    seen = estimate_cameras(clip, recording)
-    return measure_as_seen(seen, method, configuration, progress, device, on_estimate)
+    cameras = estimate_cameras(clip, recording)
+    return measure_as_seen(cameras, method, configuration, progress, device, on_estimate)
 
 
 def measure_as_seen(
-    seen: RecordedCameras,
+    cameras: RecordedCameras,
     method: str,
     configuration: SpeedConfiguration,
     progress: Progress | None = None,
@@ -116,14 +116,14 @@ def measure_as_seen(
 ) -> ClipResult:
     """As `measure`, of cameras that were estimated before."""
     chosen = method_named(method, device)
-    result = chosen.measure(seen.clip, seen.recording, configuration, progress, device, on_estimate)
+    result = chosen.measure(cameras.clip, cameras.recording, configuration, progress, device, on_estimate)
     measurements = [
         replace(
             m,
             track=replace(
                 m.track,
-                left=seen.as_recorded(m.track.frame, m.track.left, 0),
-                right=seen.as_recorded(m.track.frame, m.track.right, 1),
+                left=cameras.as_recorded(m.track.frame, m.track.left, 0),
+                right=cameras.as_recorded(m.track.frame, m.track.right, 1),
             ),
         )
         for m in result.measurements
@@ -131,16 +131,16 @@ def measure_as_seen(
     return replace(
         result,
         measurements=measurements,
-        notices=[*result.notices, *seen.notices],
+        notices=[*result.notices, *cameras.notices],
         configuration=named(method) | result.configuration,
-        cameras=camera_summary(seen, result.exposures),
+        cameras=camera_summary(cameras, result.exposures),
     )
 
 
-def camera_summary(seen: RecordedCameras, exposures: Mapping[str, ExposureEstimate]) -> dict[str, object]:
+def camera_summary(cameras: RecordedCameras, exposures: Mapping[str, ExposureEstimate]) -> dict[str, object]:
     """The entry ``cameras`` of summary.json: what was known of the cameras and what the vehicles add to it."""
-    clip = seen.clip
-    summary = seen.summary()
+    clip = cameras.clip
+    summary = cameras.summary()
 
     def entry(name: str, quantity: Quantity | None) -> dict[str, object] | None:
         if quantity is None:

@@ -47,7 +47,7 @@ def measure_clip(
         method,
         device,
         detect,
-        stage=lambda activity: nullcontext(progress),
+        stage=lambda activity: nullcontext(None if activity == "estimating" else progress),
     )
 
 
@@ -67,22 +67,22 @@ def measure_recording(
         raise UnusableInput(f"{clip.path}: vehicles: --detector is to find them; expected none")
 
     with stage("estimating") as progress:
-        seen = estimate_cameras(clip, recording, progress)
+        cameras = estimate_cameras(clip, recording, progress)
 
-    def measured(seen: RecordedCameras) -> ClipResult:
+    def measured(cameras: RecordedCameras) -> ClipResult:
         with stage("measuring") as progress:
-            return methods.measure_as_seen(seen, method, configuration, progress, device, on_estimate)
+            return methods.measure_as_seen(cameras, method, configuration, progress, device, on_estimate)
 
     if clip.vehicles:
-        return measured(seen)
+        return measured(cameras)
     with stage("looking") as progress:
-        search = find_vehicles(seen.clip, seen.recording, progress, detect, configuration)
+        search = find_vehicles(cameras.clip, cameras.recording, progress, detect, configuration)
     if search.reason:
         notices = [*recording.notices, *search.notices]
         settings = methods.named(method) | configuration.model_dump()
         result = ClipResult(str(clip.path), [], [], settings, versions(), notices, 0.0)
     else:
-        result = measured(replace(seen, clip=search.clip))
+        result = measured(replace(cameras, clip=search.clip))
         result = replace(result, notices=[*result.notices, *search.notices])
     if isinstance(detect, OnnxDetector):
         result = replace(

@@ -34,16 +34,16 @@ def exposures(keyframes: Sequence[Keyframe], rig: StereoRig, offset: Quantity | 
     below_middle = (rows + 0.5) / heights - 0.5
     times = np.array([k.times for k in keyframes])
     right, left = np.array([0.0, 1.0]), np.array([1.0, 0.0])
-    ways = np.broadcast_to(right, times.shape), below_middle * left, below_middle * right
+    shares = np.broadcast_to(right, times.shape), below_middle * left, below_middle * right
     modes, stds = [], {}
-    for name, quantity, way in zip(
-        EXPOSURE_QUANTITIES, (offset, rig.left.readout, rig.right.readout), ways, strict=True
+    for name, quantity, share in zip(
+        EXPOSURE_QUANTITIES, (offset, rig.left.readout, rig.right.readout), shares, strict=True
     ):
         if quantity is None:
             continue
         if name != "offset":
-            times = times + quantity.value * way
+            times = times + quantity.value * share
         if quantity.std:
-            modes.append(quantity.std * way)
+            modes.append(quantity.std * share)
             stds[name] = quantity.std
     return times, ExposureTiming(np.array(modes).reshape(-1, *times.shape), stds)
