@@ -55,24 +55,23 @@ class RecordedCameras:
     def notices(self) -> list[Message]:
         """What a user should know about the cameras."""
         notices, offset = [], self.clip.offset
-        if self.fit.rig_shift_sigma > MAX_RIG_SHIFT_SIGMA:
-            notices.append(
-                message("calibration_stale", epipolar_px=self.fit.epipolar_px.value, shift=self.fit.rig_shift_sigma)
-            )
+        shift, epipolar = self.fit.rig_shift_sigma, self.fit.epipolar_px
+        if epipolar is not None and shift > MAX_RIG_SHIFT_SIGMA:
+            notices.append(message("calibration_stale", epipolar_px=epipolar.value, shift=shift))
         if offset is not None and offset.source == "estimated" and abs(offset.value) > MIN_OFFSET_SIGMA * offset.std:
             notices.append(message("views_not_simultaneous", offset_ms=1e3 * offset.value, std_ms=1e3 * offset.std))
         return notices
 
     def summary(self) -> dict[str, Any]:
         """What was estimated of both cameras beside the exposures, as in summary.json."""
-        rig, rotations = self.clip.rig, self.recording.rotations
+        rig, rotations, epipolar = self.clip.rig, self.recording.rotations, self.fit.epipolar_px
         views = {}
         for side, (name, camera) in enumerate(zip(VIEW_NAMES, rig.cameras, strict=True)):
             moved = np.zeros((1, 2)) if rotations is None else rotations[:, side, :2] * camera.K[0, 0]
             views[name] = {"sway_px_rms": float(np.sqrt((moved**2).sum(-1).mean()))}
         return {
             **views,
-            "epipolar_px": {"value": self.fit.epipolar_px.value, "std": self.fit.epipolar_px.std},
+            "epipolar_px": None if epipolar is None else {"value": epipolar.value, "std": epipolar.std},
             "assumed": ["rig"] if rig.uncertainty is not None and rig.uncertainty.is_assumed else [],
         }
 
@@ -87,7 +86,10 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     rotations = estimate_rotations(recording, clip.drawn_on, progress)
     vectors = expected_rotations(rotations) if rotations.is_stationary else np.zeros_like(rotations.vectors)
     steady = recording.corrected(0.0, vectors if vectors.any() else None)
-    fit = fit_epipolar_residuals(rig, *match_views(steady), readout_difference_std(rig))
+    if clip.offset is not None and rig.uncertainty is None:  # matches could tell nothing that is not known
+        fit = EpipolarFit(rig, 0.0, None, None)
+    else:
+        fit = fit_epipolar_residuals(rig, *match_views(steady), readout_difference_std(rig))
     offset = clip.offset or expected_offset(fit.offset, recording.pairing.interval)
     steady = steady.corrected(offset.value, steady.rotations)
     cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit)
