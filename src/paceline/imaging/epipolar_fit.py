@@ -36,9 +36,8 @@ class EpipolarFit:
 
     ``rig`` is the one that they and its calibration together determine, with the uncertainty that remains.
     ``rig_shift_sigma`` is how far that is from the calibration, in prior standard deviations (the Mahalanobis
-    distance), and ``epipolar_px`` the RMS residual of the static points that it explains, None where
-    nothing was matched. ``offset`` (s) is that of the
-    right exposures, None where fewer than `MIN_MOVING_MATCHES` move.
+    distance), and ``epipolar_px`` the RMS residual of the static points that it explains, None where nothing was
+    matched. ``offset`` (s) is that of the right exposures, None where fewer than `MIN_MOVING_MATCHES` move.
     """
 
     rig: StereoRig
