@@ -142,7 +142,7 @@ def test_the_velocity_across_the_epipolar_lines_is_that_in_the_right_view(rig):
     )
 
 
-@pytest.mark.parametrize("offset", [-0.004, 0.0, 0.0083])
+@pytest.mark.parametrize("offset", [-0.004, 0.0, 0.0083, 0.07])
 @pytest.mark.parametrize("readouts", [(0.0, 0.0), (0.02, 0.02), (0.0, 0.01)])
 def test_the_offset_is_found_within_its_uncertainty(rig, offset, readouts):
     fit = fit_epipolar_residuals(rig, *moving_points(rig, offset, readouts), 0.017)

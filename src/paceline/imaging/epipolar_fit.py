@@ -28,6 +28,8 @@ CORRELATED_MATCHES = 4.0  # neighbouring matches that share their errors
 COMMON_MOVING_RESIDUAL_PX = 0.03
 RIG_STEP_SIGMA = 1e-2  # step of finite differences, in prior standard deviations
 RESIDUAL_FIT_STEPS = 30
+MAX_OFFSET_S, OFFSET_STEP_S = 0.25, 0.001  # of offsets that are tried before the fit, either way
+OUTLIER_PX = 1.0  # epipolar residual of a match that is wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +67,12 @@ def fit_epipolar_residuals(
     rows = (right[:, 1] + 0.5) / rig.right.image_size[1] - 0.5
     Q, is_moving = len(root), len(moving.left) >= MIN_MOVING_MATCHES
     X = np.column_stack([*by_rig, is_moving * across, is_moving * across * rows])
-    of_exposures = 0.0 if is_moving else 1.0, readout_difference_std**-2.0
-    x, covariance, weights = _robust_fit(X, residual, np.diag([*np.ones(Q), *of_exposures]))
+    prior = np.diag([*np.ones(Q), MAX_OFFSET_S**-2.0, readout_difference_std**-2.0])
+    start = np.zeros(Q + 2)
+    if is_moving:
+        of_static = float(np.median(residual[: len(static.left)])) if len(static.left) else 0.0
+        start[Q] = _likely_offset(residual[len(static.left) :] - of_static, across[len(static.left) :])
+    x, covariance, weights = _robust_fit(X, residual, prior, start)
     shift = float(np.linalg.norm(x[:Q]))
     explained, by_static = X[: len(static.left), :Q] @ x[:Q], X[: len(static.left), :Q]
     spread = np.einsum("ni,ij,nj->n", by_static, covariance[:Q, :Q], by_static)
@@ -84,10 +90,21 @@ def fit_epipolar_residuals(
     return EpipolarFit(corrected, shift, epipolar_px, Quantity(float(x[Q]), std, "estimated"))
 
 
-def _robust_fit(X: Array, residual: Array, prior: Array) -> tuple[Array, Array, Array]:
+def _likely_offset(residual: Array, across: Array) -> float:
+    """The offset (s) that leaves least of the ``residual`` (N,) px of points that move by ``across`` (N,) px/s.
+
+    Each point counts by at most `OUTLIER_PX`, so that the least is that of most points: a fit that weights residuals
+    would take those of a large offset for outliers.
+    """
+    offsets = np.arange(-MAX_OFFSET_S, MAX_OFFSET_S + OFFSET_STEP_S / 2, OFFSET_STEP_S)
+    misfit = np.minimum(np.abs(residual - offsets[:, None] * across), OUTLIER_PX).mean(1)
+    return float(offsets[np.argmin(misfit)])
+
+
+def _robust_fit(X: Array, residual: Array, prior: Array, start: Array) -> tuple[Array, Array, Array]:
     """The parameters x (n,) of ``residual`` (N,) px = X x under a ``prior`` information (n, n) about 0, their
-    covariance (n, n), and the weights (N,)."""
-    x: Array = np.zeros(X.shape[1])
+    covariance (n, n), and the weights (N,), from a ``start`` (n,)."""
+    x = start
     weights, information = np.ones(len(X)), prior
     for _ in range(RESIDUAL_FIT_STEPS if len(X) else 0):
         misfit = np.abs(residual - X @ x)
