@@ -118,6 +118,7 @@ def clip():
     return film()
 
 
+@pytest.mark.slow
 def test_heights_that_a_rolling_shutter_stretches_do_not_change_the_range(clip):
     """A camera of which it is known that all rows are read at once takes them for a change of size."""
     images, positions = clip

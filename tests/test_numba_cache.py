@@ -133,7 +133,7 @@ def test_what_is_made_of_a_changed_file_is_compiled_anew_and_nothing_else(
     assert [name for name in MODULES if after[name] != before[name]] == changed
 
 
-@pytest.mark.parametrize("kind", slow_after(1, ["folder", "folder named otherwise", "zip"]))
+@pytest.mark.parametrize("kind", slow_after(0, ["folder", "folder named otherwise", "zip"]))
 def test_an_update_of_one_file_of_two_is_not_answered_by_the_old_machine_code(copy: Path, kind: str) -> None:
     """`quadrilaterals_cpu` compiles functions of `quadrilaterals` into its own; only the latter changes."""
     source, program = copy, USED

@@ -116,7 +116,7 @@ def check_watched(scene: SpeedScene) -> float:
     return float((steps[:, 1] / np.hypot(*steps.T)).min())
 
 
-@pytest.mark.parametrize("radius", slow_after(1, [30.0, 45.0, 80.0]))
+@pytest.mark.parametrize("radius", slow_after(0, [30.0, 45.0, 80.0]))
 def test_varied_bends_turn_across_the_view(radius: float) -> None:
     slopes = []
     for seed in range(4):

@@ -22,6 +22,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 from run_command import assert_one_line_error, paceline
+from selection import slow_after
 from tiny_road import TWO, scene
 
 from paceline.cameras import Camera
@@ -208,7 +209,7 @@ def surveyed(
 
 
 @pytest.mark.parametrize(
-    "frames", [pytest.param(ALL, marks=pytest.mark.slow), GAPS], ids=["all frames", "frames missing"]
+    "frames", slow_after(0, [(ALL,), (GAPS,)]), ids=["all frames", "frames missing"]
 )
 def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> None:
     passed = surveyed(tmp_path / "clip", frames)

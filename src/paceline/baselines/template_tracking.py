@@ -172,7 +172,7 @@ def _crop(image: Image, quad: Array) -> Image:
 
 
 def _resized(image: Image, factor: float) -> Image:
-    if factor == 1.0 or not image.size:
+    if factor == 1.0 or factor * min(image.shape) < 1.0:  # too small for anything to be found in it
         return image
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), np.float32)
 
