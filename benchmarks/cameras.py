@@ -135,7 +135,9 @@ def drawn_scene(case: Case) -> Scene:
             scene = random_bend(seed, None, case.rate)
         else:
             steady = {"acceleration": 0.0, "glare": False}
-            scene = random_scene(seed, vehicle=steady, radius=None, rate=case.rate, occluder=False, dropped=(), **PLAIN_RIG)
+            scene = random_scene(
+                seed, vehicle=steady, radius=None, rate=case.rate, occluder=False, dropped=(), **PLAIN_RIG
+            )
         scene = replace(scene, errors=errors_of(case, scene.frames))
         World(scene)  # raises ValueError where a view that is late does not show the vehicle beside the other
         return scene
