@@ -106,6 +106,13 @@ def test_noise_alone_is_no_rotation_and_sway_is_hardly_shrunk():
     assert (expected_rotations(rotations_of(noise, std)) == 0).all()
     sway = rng.normal(0, 20 * std, (30, 2, 3))
     np.testing.assert_allclose(expected_rotations(rotations_of(sway, std)), sway, rtol=0.02)
+    unknown = rotations_of(sway, std)
+    unknown.static_share[3] = 0.0
+    covariance = unknown.covariance.copy()
+    covariance[3] = np.eye(3)
+    expected = expected_rotations(replace(unknown, covariance=covariance))
+    np.testing.assert_allclose(expected[4:], sway[4:], rtol=0.02)
+    assert np.abs(expected[3]).max() < 1e-3 * np.abs(sway[3]).max()
 
 
 # --- epipolar residuals ---------------------------------------------------------------------------------------------

@@ -208,9 +208,7 @@ def surveyed(
     return passed
 
 
-@pytest.mark.parametrize(
-    "frames", slow_after(0, [(ALL,), (GAPS,)]), ids=["all frames", "frames missing"]
-)
+@pytest.mark.parametrize("frames", slow_after(0, [(ALL,), (GAPS,)]), ids=["all frames", "frames missing"])
 def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> None:
     passed = surveyed(tmp_path / "clip", frames)
     assert [found.vehicle.id for found, _ in passed if found.vehicle] == ["v0", "v1", "v2"]

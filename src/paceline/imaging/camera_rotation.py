@@ -7,16 +7,17 @@ frame are tracked into each frame, and R is fitted to them robustly (Tukey's wei
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.arrays import Array, Image, Mask
+from paceline.arrays import Array, Image, Indices, Mask
 from paceline.cameras import Camera
 from paceline.progress import Progress
-from paceline.recordings.stereo import StereoRecording
+from paceline.recordings.stereo import StereoFrame, StereoRecording
 
 CORNERS = 200  # of the reference frame, in each view
 CORNER_DISTANCE_PX = 20
@@ -33,6 +34,7 @@ MIN_CORNER_RESIDUAL_PX = 0.02  # residuals of tracked corners are at least those
 # Standard deviation of what all corners of a view have in common beside the rotation: how the mast's foot moves, and
 # how the light does; measured on swaying clips with known rotations
 COMMON_MOTION_PX = 0.01
+SAMPLED_FRAMES = 60  # frames of a long recording that are looked at first
 MIN_LOG_ODDS = 3.0  # of a camera that turns over one that does not
 ROTATION_FIT_STEPS = 20
 CONVERGED_STEP_RAD = 1e-9
@@ -79,17 +81,37 @@ class ReferenceView:
 
 
 def estimate_rotations(recording: StereoRecording, reference: int, progress: Progress | None = None) -> CameraRotations:
-    """The rotations in all frames of ``recording`` against the frame of index ``reference``."""
+    """The rotations in all frames of ``recording`` against the frame of index ``reference``.
+
+    Of a long recording `SAMPLED_FRAMES` are looked at first, spread evenly: cameras that do not turn in any of them, or
+    that travel, need no look at the others.
+    """
     first = next(iter(recording.frames(reference, reference + 1)), None) or next(recording.frames())
     views = [
         ReferenceView(camera, image)
         for camera, image in zip(recording.rig.cameras, (first.left, first.right), strict=True)
     ]
     count = len(recording)
-    vectors, covariance, shares = np.zeros((count, 2, 3)), np.zeros((count, 2, 3, 3)), np.zeros((count, 2))
-    index_of = {int(frame): n for n, frame in enumerate(recording.indices)}
-    for done, frame in enumerate(recording.frames(), 1):
-        n = index_of[frame.index]
+    if count > SAMPLED_FRAMES:
+        sample = np.linspace(0, count - 1, SAMPLED_FRAMES).round().astype(np.int64)
+        frames = (f for k in recording.indices[sample].tolist() for f in recording.frames(k, k + 1))
+        sampled = _rotations_in(frames, views, recording.indices[sample], progress)
+        if not (sampled.is_stationary and expected_rotations(sampled).any()):
+            still = np.zeros((count, 2, 3))
+            share = np.broadcast_to(np.median(sampled.static_share, axis=0), (count, 2))
+            return CameraRotations(still, np.broadcast_to(sampled.covariance.mean(0), (count, 2, 3, 3)), share)
+    return _rotations_in(recording.frames(), views, recording.indices, progress)
+
+
+def _rotations_in(
+    frames: Iterable[StereoFrame], views: Sequence[ReferenceView], indices: Indices, progress: Progress | None
+) -> CameraRotations:
+    """The rotations in ``frames``, which are those of the ``indices`` (N,) or some of them."""
+    count = len(indices)
+    vectors, shares = np.zeros((count, 2, 3)), np.zeros((count, 2))
+    covariance = np.tile(np.eye(3), (count, 2, 1, 1))  # of frames that cannot be decoded
+    for done, frame in enumerate(frames, 1):
+        n = int(np.searchsorted(indices, frame.index))
         for side, image in enumerate((frame.left, frame.right)):
             vectors[n, side], covariance[n, side], shares[n, side] = views[side].rotation_in(image)
         if progress is not None:
@@ -131,9 +153,12 @@ def expected_rotations(rotations: CameraRotations) -> Array:
     scatter beyond their own uncertainty. A camera turns where that is `MIN_LOG_ODDS` likelier than no variance at all.
     """
     noise = np.diagonal(rotations.covariance, axis1=-2, axis2=-1)
-    ratio = np.maximum((rotations.vectors**2 / noise).mean(0), 1.0)
-    log_odds = 0.5 * len(noise) * (ratio - 1.0 - np.log(ratio))
-    swaying = np.where(log_odds > MIN_LOG_ODDS, np.maximum((rotations.vectors**2 - noise).mean(0), 0.0), 0.0)
+    known = (rotations.static_share > 0)[..., None]
+    count = np.maximum(known.sum(0), 1)
+    ratio = np.maximum((known * rotations.vectors**2 / noise).sum(0) / count, 1.0)
+    log_odds = 0.5 * count * (ratio - 1.0 - np.log(ratio))
+    variance = np.maximum((known * (rotations.vectors**2 - noise)).sum(0) / count, 0.0)
+    swaying = np.where(log_odds > MIN_LOG_ODDS, variance, 0.0)
     return np.asarray(rotations.vectors * swaying / (swaying + noise))
 
 
