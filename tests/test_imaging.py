@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from paceline.cameras import Camera, Quantity, RigUncertainty, StereoRig, perturbed_rig
 from paceline.documents.loading import load_clip
+from paceline.errors import UnusableInput
 from paceline.geometry import epipolar_distance
 from paceline.imaging import recorded_cameras
 from paceline.imaging.camera_rotation import (
@@ -113,6 +114,19 @@ def test_noise_alone_is_no_rotation_and_sway_is_hardly_shrunk():
     expected = expected_rotations(replace(unknown, covariance=covariance))
     np.testing.assert_allclose(expected[4:], sway[4:], rtol=0.02)
     assert np.abs(expected[3]).max() < 1e-3 * np.abs(sway[3]).max()
+
+
+def test_frames_that_show_no_rotation_do_not_hide_that_of_the_others():
+    rng, std = np.random.default_rng(4), 5e-6
+    sway = rotations_of(rng.normal(0, 20 * std, (30, 2, 3)), std)
+    sway.static_share[[3, 7], 1] = 0.0, 0.3
+    sway.vectors[3, 1] = 0.0
+    sway.vectors[7, 1] = 1.0  # of the corners on a lorry
+    covariance = sway.covariance.copy()
+    covariance[3, 1] = np.eye(3)
+    expected = expected_rotations(replace(sway, covariance=covariance))
+    assert (expected[[3, 7], 1] == 0).all()
+    np.testing.assert_allclose(expected[:3], sway.vectors[:3], rtol=0.02)
 
 
 # --- epipolar residuals ---------------------------------------------------------------------------------------------
@@ -256,6 +270,18 @@ def test_a_stated_offset_is_taken_as_stated(late_clip):
     assert result.measurements[0].speed_lo < 15.0 < result.measurements[0].speed_hi
 
 
+@pytest.mark.parametrize(
+    ("wrong", "problem"),
+    [
+        ({"drawn_on": 14}, "drawn_on: frame 14 cannot be used; expected one from 0 to 13 that is whole in both views"),
+        ({"offset": Quantity(8.0)}, "offset: expected at most the 0.1 s between frames, .* found 8"),
+    ],
+)
+def test_what_contradicts_the_recording_is_refused_by_name(late_clip, wrong, problem):
+    with pytest.raises(UnusableInput, match=f"clip.yaml: {problem}$"):
+        measure_clip(replace(load_clip(late_clip), **wrong))
+
+
 def test_swaying_cameras_are_steadied_and_results_are_where_they_were_recorded(late_clip):
     recording = open_recording(load_clip(late_clip))
     vectors = np.zeros((len(recording), 2, 3))
@@ -274,7 +300,7 @@ def test_swaying_cameras_are_steadied_and_results_are_where_they_were_recorded(l
         def frames(self, *limits):
             return swaying.frames(*limits)
 
-    rotations = recorded_cameras.estimate_rotations(Turned(), 0)
+    rotations = recorded_cameras.estimate_rotations(Turned(), next(swaying.frames()))
     assert rotations.is_stationary
     np.testing.assert_allclose(rotations.vectors, vectors, atol=2e-5)
     seen = recorded_cameras.RecordedCameras(

@@ -78,7 +78,7 @@ class Clip:
     vehicles: list[VehicleDocument]
     addresses: tuple[str, str]  # of both views, as live sources
     offset: Quantity | None = None  # s, to add to the right view's times; None where it is not known
-    drawn_on: int = 0  # the frame on which the paths were drawn
+    drawn_on: int | None = None  # the frame on which the paths were drawn; None: the first one
 
 
 @dataclass(frozen=True, eq=False)

@@ -241,7 +241,7 @@ class ClipModel(Document):
     bit_depth: Bits | None = None
     synchronised: bool | None = None
     offset: Stated | None = None
-    drawn_on: Annotated[int, Field(ge=0)] = 0
+    drawn_on: Annotated[int, Field(ge=0)] | None = None
     rig: str | None = None
     site: Text | None = None
     paths: dict[Name, PathModel] | None = None

@@ -27,7 +27,8 @@ TRACKING_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01) 
 TRACKING_LEVELS = 2  # a picture may move by some ten pixels
 MAX_CORNER_RETURN_PX = 0.3  # greatest distance between a corner and where it is tracked back to
 MIN_STATIC_CORNERS = 20  # least corners that a rotation is fitted to
-MIN_STATIC_SHARE = 0.5  # least share of the corners that a rotation explains: else the camera itself travels
+MIN_STATIC_SHARE = 0.5  # least share of a frame's corners that a rotation explains: else it is not known
+MIN_KNOWN_SHARE = 0.5  # least share of the frames in which it is known: else the camera itself travels
 MAX_STATIC_RESIDUAL_PX = 0.5  # of a corner that it explains
 TUKEY_SIGMA = 4.685  # residual in standard deviations beyond which Tukey's weight is zero
 MIN_CORNER_RESIDUAL_PX = 0.02  # residuals of tracked corners are at least those of interpolation
@@ -45,8 +46,8 @@ class CameraRotations:
     """The rotations of both cameras in N frames against the reference frame.
 
     ``vectors`` (N, 2, 3) rad are rotation vectors: a point at X in the camera's axes at the reference frame is at R X
-    in those of the frame. ``covariance`` is (N, 2, 3, 3). ``static_share`` (N, 2) is the share of the tracked corners
-    that are where the rotation puts them, 0 where there are too few.
+    in those of the frame. ``covariance`` is (N, 2, 3, 3) rad². ``static_share`` (N, 2) is the share of the tracked
+    corners that are where the rotation puts them, 0 where there are too few or the picture cannot be decoded.
     """
 
     vectors: Array
@@ -54,9 +55,14 @@ class CameraRotations:
     static_share: Array
 
     @property
+    def is_known(self) -> Mask:
+        """In which frames of which view (N, 2) most corners agree with the rotation."""
+        return np.asarray(self.static_share >= MIN_STATIC_SHARE)
+
+    @property
     def is_stationary(self) -> bool:
         """Whether the background is static but for rotations, in most of the frames of both views."""
-        return bool((np.median(self.static_share, axis=0) >= MIN_STATIC_SHARE).all())
+        return bool((self.is_known.mean(axis=0) >= MIN_KNOWN_SHARE).all())
 
 
 class ReferenceView:
@@ -80,16 +86,17 @@ class ReferenceView:
         return vector, covariance, float((distance < MAX_STATIC_RESIDUAL_PX).mean())
 
 
-def estimate_rotations(recording: StereoRecording, reference: int, progress: Progress | None = None) -> CameraRotations:
-    """The rotations in all frames of ``recording`` against the frame of index ``reference``.
+def estimate_rotations(
+    recording: StereoRecording, reference: StereoFrame, progress: Progress | None = None
+) -> CameraRotations:
+    """The rotations in all frames of ``recording`` against its frame ``reference``.
 
     Of a long recording `SAMPLED_FRAMES` are looked at first, spread evenly: cameras that do not turn in any of them, or
     that travel, need no look at the others.
     """
-    first = next(iter(recording.frames(reference, reference + 1)), None) or next(recording.frames())
     views = [
         ReferenceView(camera, image)
-        for camera, image in zip(recording.rig.cameras, (first.left, first.right), strict=True)
+        for camera, image in zip(recording.rig.cameras, (reference.left, reference.right), strict=True)
     ]
     count = len(recording)
     if count > SAMPLED_FRAMES:
@@ -147,19 +154,20 @@ def rotation_jacobian(camera: Camera, pixels: Array) -> Array:
 
 
 def expected_rotations(rotations: CameraRotations) -> Array:
-    """The rotations (N, 2, 3) rad expected from the estimates, 0 about axes about which a camera does not turn.
+    """The rotations (N, 2, 3) rad expected from the estimates, 0 about axes about which a camera does not turn, and in
+    frames in which its rotation is not known.
 
     About each axis of each camera they have as their prior a normal distribution, whose variance is what the estimates
     scatter beyond their own uncertainty. A camera turns where that is `MIN_LOG_ODDS` likelier than no variance at all.
     """
     noise = np.diagonal(rotations.covariance, axis1=-2, axis2=-1)
-    known = (rotations.static_share > 0)[..., None]
-    count = np.maximum(known.sum(0), 1)
-    ratio = np.maximum((known * rotations.vectors**2 / noise).sum(0) / count, 1.0)
+    known = rotations.is_known[..., None]
+    count = known.sum(0)
+    share = known / np.maximum(count, 1)
+    ratio = np.maximum((share * rotations.vectors**2 / noise).sum(0), 1.0)
     log_odds = 0.5 * count * (ratio - 1.0 - np.log(ratio))
-    variance = np.maximum((known * (rotations.vectors**2 - noise)).sum(0) / count, 0.0)
-    swaying = np.where(log_odds > MIN_LOG_ODDS, variance, 0.0)
-    return np.asarray(rotations.vectors * swaying / (swaying + noise))
+    swaying = np.where(log_odds > MIN_LOG_ODDS, np.maximum((share * (rotations.vectors**2 - noise)).sum(0), 0.0), 0.0)
+    return np.asarray(known * rotations.vectors * swaying / (swaying + noise))
 
 
 def _track(reference: NDArray[np.uint8], image: NDArray[np.uint8], corners: Array) -> tuple[Array, Mask]:

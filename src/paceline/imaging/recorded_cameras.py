@@ -16,11 +16,12 @@ from paceline.arrays import Array, Indices
 from paceline.blas import on_one_blas_thread
 from paceline.cameras import VIEW_NAMES, Camera, Quantity, StereoRig
 from paceline.documents.loading import Clip
+from paceline.errors import UnusableInput
 from paceline.imaging.camera_rotation import CameraRotations, estimate_rotations, expected_rotations
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
 from paceline.imaging.feature_matches import match_views
 from paceline.progress import Progress
-from paceline.recordings.stereo import StereoRecording
+from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.verdicts import Message, message
 
 # Readout of a camera whose shutter nothing is said of: of ordinary rolling shutters it is 8 to 30 ms, of global ones 0
@@ -80,20 +81,41 @@ class RecordedCameras:
 def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress | None = None) -> RecordedCameras:
     """What ``recording`` tells of the cameras of ``clip``, and both corrected for it.
 
-    Cameras that travel, as on a vehicle, are left as they are.
+    Cameras that travel, as on a vehicle, are left as they are. Raises UnusableInput for a ``drawn_on`` that is no
+    frame, or an ``offset`` by which other frames belong together.
     """
+    interval = recording.pairing.interval
+    if clip.offset is not None and abs(clip.offset.value) > interval:
+        raise UnusableInput(
+            f"{clip.path}: offset: expected at most the {interval:.3g} s between frames, as those of about the same "
+            f"time in the files belong together, found {clip.offset.value:g}"
+        )
     rig = replace(clip.rig, left=with_readout(clip.rig.left), right=with_readout(clip.rig.right))
-    rotations = estimate_rotations(recording, clip.drawn_on, progress)
+    rotations = estimate_rotations(recording, reference_frame(clip, recording), progress)
     vectors = expected_rotations(rotations) if rotations.is_stationary else np.zeros_like(rotations.vectors)
     steady = recording.corrected(0.0, vectors if vectors.any() else None)
     if clip.offset is not None and rig.uncertainty is None:  # matches could tell nothing that is not known
         fit = EpipolarFit(rig, 0.0, None, None)
     else:
         fit = fit_epipolar_residuals(rig, *match_views(steady), readout_difference_std(rig))
-    offset = clip.offset or expected_offset(fit.offset, recording.pairing.interval)
+    offset = clip.offset or expected_offset(fit.offset, interval)
     steady = steady.corrected(offset.value, steady.rotations)
     cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit)
     return replace(cameras, clip=with_steady_outlines(cameras))
+
+
+def reference_frame(clip: Clip, recording: StereoRecording) -> StereoFrame:
+    """The frame on which paths were drawn, the first one where the ``clip`` states none. Raises UnusableInput."""
+    n = clip.drawn_on
+    frame = next(recording.frames() if n is None else recording.frames(n, n + 1), None)
+    if frame is not None:
+        return frame
+    if n is None:
+        raise UnusableInput(f"{clip.path}: left and right: no two frames that belong together can be decoded")
+    raise UnusableInput(
+        f"{clip.path}: drawn_on: frame {n} cannot be used; expected one from {recording.indices[0]} to "
+        f"{recording.indices[-1]} that is whole in both views"
+    )
 
 
 def expected_offset(estimate: Quantity | None, interval: float) -> Quantity:
