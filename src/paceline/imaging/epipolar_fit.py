@@ -28,7 +28,7 @@ CORRELATED_MATCHES = 4.0  # neighbouring matches that share their errors
 COMMON_MOVING_RESIDUAL_PX = 0.03
 RIG_STEP_SIGMA = 1e-2  # step of finite differences, in prior standard deviations
 RESIDUAL_FIT_STEPS = 30
-MAX_OFFSET_S, OFFSET_STEP_S = 0.25, 0.001  # of offsets that are tried before the fit, either way
+OFFSET_STEP_S = 0.001  # between offsets that are tried before the fit
 OUTLIER_PX = 1.0  # epipolar residual of a match that is wrong
 
 
@@ -38,8 +38,8 @@ class EpipolarFit:
 
     ``rig`` is the one that they and its calibration together determine, with the uncertainty that remains.
     ``rig_shift_sigma`` is how far that is from the calibration, in prior standard deviations (the Mahalanobis
-    distance), and ``epipolar_px`` the RMS residual of the static points that it explains, None where nothing was
-    matched. ``offset`` (s) is that of the right exposures, None where fewer than `MIN_MOVING_MATCHES` move.
+    distance), and ``epipolar_px`` the RMS residual of the static points that it explains, None where none was matched.
+    ``offset`` (s) is that of the right exposures, None where fewer than `MIN_MOVING_MATCHES` move.
     """
 
     rig: StereoRig
@@ -49,12 +49,13 @@ class EpipolarFit:
 
 
 def fit_epipolar_residuals(
-    rig: StereoRig, static: Matches, moving: Matches, readout_difference_std: float
+    rig: StereoRig, static: Matches, moving: Matches, offset_std: float, readout_difference_std: float
 ) -> EpipolarFit:
     """A robust fit (Tukey's weights) of the rig, the offset and the difference between the readouts, right minus left.
 
-    The rig has its calibration's uncertainty as its prior, the readouts' difference the standard deviation
-    ``readout_difference_std`` (s).
+    The rig has its calibration's uncertainty as its prior, the offset and the readouts' difference are 0 with the
+    standard deviations ``offset_std`` and ``readout_difference_std`` (s): what moves along the epipolar lines shows
+    neither.
     """
     left, right = np.concatenate([static.left, moving.left]), np.concatenate([static.right, moving.right])
     root = np.zeros((0, 14)) if rig.uncertainty is None else rig.uncertainty.covariance_root
@@ -67,17 +68,17 @@ def fit_epipolar_residuals(
     rows = (right[:, 1] + 0.5) / rig.right.image_size[1] - 0.5
     Q, is_moving = len(root), len(moving.left) >= MIN_MOVING_MATCHES
     X = np.column_stack([*by_rig, is_moving * across, is_moving * across * rows])
-    prior = np.diag([*np.ones(Q), MAX_OFFSET_S**-2.0, readout_difference_std**-2.0])
+    prior = np.diag([*np.ones(Q), offset_std**-2.0, readout_difference_std**-2.0])
     start = np.zeros(Q + 2)
     if is_moving:
         of_static = float(np.median(residual[: len(static.left)])) if len(static.left) else 0.0
-        start[Q] = _likely_offset(residual[len(static.left) :] - of_static, across[len(static.left) :])
+        start[Q] = _likely_offset(residual[len(static.left) :] - of_static, across[len(static.left) :], offset_std)
     x, covariance, weights = _robust_fit(X, residual, prior, start)
     shift = float(np.linalg.norm(x[:Q]))
     explained, by_static = X[: len(static.left), :Q] @ x[:Q], X[: len(static.left), :Q]
     spread = np.einsum("ni,ij,nj->n", by_static, covariance[:Q, :Q], by_static)
-    rms = [float(np.sqrt(values.mean())) if len(values) else 0.0 for values in (explained**2, spread)]
-    epipolar_px = Quantity(rms[0], rms[1], "estimated")
+    rms = [float(np.sqrt(values.mean())) for values in (explained**2, spread) if len(values)]
+    epipolar_px = Quantity(*rms, "estimated") if rms else None
     corrected = rig
     if rig.uncertainty is not None:
         remaining = replace(rig.uncertainty, covariance=root.T @ covariance[:Q, :Q] @ root)
@@ -86,17 +87,18 @@ def fit_epipolar_residuals(
     if used.sum() < MIN_MOVING_MATCHES:
         return EpipolarFit(corrected, shift, epipolar_px, None)
     speed = float(np.sqrt((across[len(static.left) :][used] ** 2).mean()))
-    std = float(np.hypot(np.sqrt(covariance[Q, Q]), COMMON_MOVING_RESIDUAL_PX / speed))
-    return EpipolarFit(corrected, shift, epipolar_px, Quantity(float(x[Q]), std, "estimated"))
+    std = float(np.hypot(np.sqrt(covariance[Q, Q]), COMMON_MOVING_RESIDUAL_PX / max(speed, 1e-9)))
+    return EpipolarFit(corrected, shift, epipolar_px, Quantity(float(x[Q]), min(std, offset_std), "estimated"))
 
 
-def _likely_offset(residual: Array, across: Array) -> float:
-    """The offset (s) that leaves least of the ``residual`` (N,) px of points that move by ``across`` (N,) px/s.
+def _likely_offset(residual: Array, across: Array, reach: float) -> float:
+    """The offset, at most ``reach`` s either way, that leaves least of the ``residual`` (N,) px of points that move by
+    ``across`` (N,) px/s.
 
     Each point counts by at most `OUTLIER_PX`, so that the least is that of most points: a fit that weights residuals
     would take those of a large offset for outliers.
     """
-    offsets = np.arange(-MAX_OFFSET_S, MAX_OFFSET_S + OFFSET_STEP_S / 2, OFFSET_STEP_S)
+    offsets = np.arange(-reach, reach + OFFSET_STEP_S / 2, OFFSET_STEP_S)
     misfit = np.minimum(np.abs(residual - offsets[:, None] * across), OUTLIER_PX).mean(1)
     return float(offsets[np.argmin(misfit)])
 

@@ -97,7 +97,7 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     if clip.offset is not None and rig.uncertainty is None:  # matches could tell nothing that is not known
         fit = EpipolarFit(rig, 0.0, None, None)
     else:
-        fit = fit_epipolar_residuals(rig, *match_views(steady), readout_difference_std(rig))
+        fit = fit_epipolar_residuals(rig, *match_views(steady), interval / 2, readout_difference_std(rig))
     offset = clip.offset or expected_offset(fit.offset, interval)
     steady = steady.corrected(offset.value, steady.rotations)
     cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit)
@@ -127,7 +127,7 @@ def expected_offset(estimate: Quantity | None, interval: float) -> Quantity:
     """
     if estimate is None:
         return Quantity(0.0, interval / 2, "assumed")
-    density = norm.pdf(estimate.value, scale=estimate.std)
+    density = float(norm.pdf(estimate.value, scale=estimate.std))
     value = estimate.value / (1.0 + interval * density)
     return Quantity(value, float(np.hypot(estimate.std, estimate.value - value)), "estimated")
 
