@@ -23,7 +23,7 @@ from paceline.imaging.camera_rotation import (
     fit_rotation,
     rotation_jacobian,
 )
-from paceline.imaging.epipolar_fit import fit_epipolar_residuals, velocity_across
+from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals, velocity_across
 from paceline.imaging.feature_matches import Matches, match_views
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.stereo.clip import render, write
@@ -315,6 +315,14 @@ def test_swaying_cameras_are_steadied_and_results_are_where_they_were_recorded(l
     rotations = recorded_cameras.estimate_rotations(Turned(), next(swaying.frames()))
     assert rotations.is_stationary
     np.testing.assert_allclose(rotations.vectors, vectors, atol=2e-5)
+    cameras = recorded_cameras.RecordedCameras(
+        load_clip(late_clip), recording.corrected(0.0, vectors), rotations, EpipolarFit(recording.rig, 0.0, None, None)
+    )
+    assert cameras.notices == []
+    rotations.static_share[6:8, 0] = 0.0
+    assert [n.code for n in cameras.notices] == ["rotation_unknown"] and "left: " in cameras.notices[0]
+    rotations.static_share[:8] = 0.0
+    assert [n.code for n in cameras.notices] == ["cameras_travel"] * 2
     seen = recorded_cameras.RecordedCameras(
         load_clip(late_clip), recording.corrected(0.0, vectors), rotations, fit=None
     )

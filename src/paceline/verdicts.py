@@ -293,6 +293,16 @@ _WARNING_ROWS = {
         "calibration, which is corrected for as far as it shows",
         "Calibrate anew; `paceline rig check` says how the cameras have moved.",
     ),
+    "cameras_travel": (
+        "{view}: most of the picture only turns in {known} of {frames} frames (at least half needed): the cameras "
+        "travel, or little stands still in them; they are taken not to turn",
+        "Fix the cameras, or aim them so that more of what stands still is in the picture.",
+    ),
+    "rotation_unknown": (
+        "{view}: the camera turns, but in {unknown} of {frames} frames too little stands still to tell how; there it "
+        "is taken not to turn",
+        "Fix the cameras, or aim them so that more of what stands still is in the picture.",
+    ),
     "no_common_clock": (
         "no common clock: frames that come together are taken as exposed together",
         _SYNCHRONISE_ADVICE,

@@ -17,7 +17,7 @@ from paceline.blas import on_one_blas_thread
 from paceline.cameras import VIEW_NAMES, Camera, Quantity, StereoRig
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
-from paceline.imaging.camera_rotation import CameraRotations, estimate_rotations, expected_rotations
+from paceline.imaging.camera_rotation import MIN_KNOWN_SHARE, CameraRotations, estimate_rotations, expected_rotations
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
 from paceline.imaging.feature_matches import match_views
 from paceline.progress import Progress
@@ -55,12 +55,23 @@ class RecordedCameras:
     @property
     def notices(self) -> list[Message]:
         """What a user should know about the cameras."""
-        notices, offset = [], self.clip.offset
+        notices, offset = self._rotation_notices(), self.clip.offset
         shift, epipolar = self.fit.rig_shift_sigma, self.fit.epipolar_px
         if epipolar is not None and shift > MAX_RIG_SHIFT_SIGMA:
             notices.append(message("calibration_stale", epipolar_px=epipolar.value, shift=shift))
         if offset is not None and offset.source == "estimated" and abs(offset.value) > MIN_OFFSET_SIGMA * offset.std:
             notices.append(message("views_not_simultaneous", offset_ms=1e3 * offset.value, std_ms=1e3 * offset.std))
+        return notices
+
+    def _rotation_notices(self) -> list[Message]:
+        """What of the rotations is not known, and so not corrected."""
+        known, turning = self.rotations.is_known, self.recording.rotations
+        frames, notices = len(known), []
+        for side, (view, count) in enumerate(zip(VIEW_NAMES, known.sum(axis=0).tolist(), strict=True)):
+            if count < MIN_KNOWN_SHARE * frames:
+                notices.append(message("cameras_travel", view=view, known=count, frames=frames))
+            elif turning is not None and turning[:, side].any() and count < frames:
+                notices.append(message("rotation_unknown", view=view, unknown=frames - count, frames=frames))
         return notices
 
     def summary(self) -> dict[str, Any]:

@@ -78,9 +78,10 @@ def measure_recording(
     with stage("looking") as progress:
         search = find_vehicles(cameras.clip, cameras.recording, progress, detect, configuration)
     if search.reason:
-        notices = [*recording.notices, *search.notices]
+        notices = [*cameras.recording.notices, *search.notices, *cameras.notices]
         settings = methods.named(method) | configuration.model_dump()
-        result = ClipResult(str(clip.path), [], [], settings, versions(), notices, 0.0)
+        summary = methods.camera_summary(cameras, {})
+        result = ClipResult(str(clip.path), [], [], settings, versions(), notices, 0.0, cameras=summary)
     else:
         result = measured(replace(cameras, clip=search.clip))
         result = replace(result, notices=[*result.notices, *search.notices])
