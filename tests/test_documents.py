@@ -71,7 +71,7 @@ def test_a_clip_is_read_whole():
     np.testing.assert_array_equal(vehicle.right, RIGHT)
     np.testing.assert_array_equal(clip.rig.t, [-0.5, 0, 0])
     assert clip.rig.uncertainty.is_assumed and clip.rig.left.readout is None
-    assert (clip.offset, clip.drawn_on) == (None, 0)
+    assert (clip.offset, clip.drawn_on) == (None, None)
 
 
 def test_optional_keys():

@@ -25,6 +25,7 @@ from paceline.imaging.camera_rotation import (
 )
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals, velocity_across
 from paceline.imaging.feature_matches import Matches, match_views
+from paceline.recordings.live_stereo import LiveStereo
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.stereo.clip import render, write
 from paceline.simulation.stereo.scene import Scene, Vehicle
@@ -280,6 +281,11 @@ def test_a_stated_offset_is_taken_as_stated(late_clip):
     result = measure_clip(clip)
     assert result.cameras["offset_s"] == {"value": 0.012, "std": 0.0, "source": "stated", "speed_effect": 0.0}
     assert result.measurements[0].speed_lo < 15.0 < result.measurements[0].speed_hi
+
+
+def test_a_stated_offset_counts_live_too(late_clip):
+    pair = next(iter(LiveStereo(replace(load_clip(late_clip), offset=Quantity(0.012)))))
+    assert (pair.index, pair.time, pair.skew) == (0, pytest.approx(0.006), pytest.approx(0.012))
 
 
 @pytest.mark.parametrize(

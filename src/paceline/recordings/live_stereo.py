@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from threading import Condition, Thread
@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from paceline.cameras import ALL_ROWS, Camera, StereoRig
+from paceline.cameras import ALL_ROWS, Camera, Quantity, StereoRig
 from paceline.recordings.monocular import STOP_POLL_INTERVAL_S, CameraFrame, CameraRecording, Grey, open_camera
 from paceline.recordings.stereo import MIN_REPORTED_SKEW_S, StereoFrame
 from paceline.verdicts import message
@@ -55,11 +55,14 @@ class LiveSource(Protocol):
     def bit_depth(self) -> int | None: ...
     @property
     def rig(self) -> StereoRig: ...
+    @property
+    def offset(self) -> Quantity | None: ...
 
 
 class LiveStereo:
     """The live pairs of frames of a rig; to be iterated once. Memory does not grow with time.
 
+    A stated ``offset`` counts as in a recording: it is added to the times of the right view, once frames are paired.
     ``dropped`` counts the left view's frames that were not used because newer ones had come. Raises UnusableInput for
     sources that cannot be opened.
     """
@@ -69,6 +72,7 @@ class LiveStereo:
             LiveCamera(open_camera(_ViewSource(clip.path, address, clip.rate, clip.bit_depth, camera)))
             for address, camera in zip(clip.addresses, clip.rig.cameras, strict=True)
         ]
+        self._stated_offset = 0.0 if clip.offset is None else clip.offset.value
         self._clock_offset = 0.0  # s, right clock minus left clock; 0 where they share one
         self._max_skew = 0.0  # s, the greatest of all pairs
 
@@ -101,7 +105,8 @@ class LiveStereo:
             self._clock_offset = _clock_offset(left, right)
             for pair in _pairs(left, right, self._clock_offset):
                 self._max_skew = max(self._max_skew, abs(pair.skew))
-                yield pair
+                offset = self._stated_offset
+                yield replace(pair, time=pair.time + 0.5 * offset, skew=pair.skew + offset)
         finally:
             self.stop()
         for camera in self._views:
