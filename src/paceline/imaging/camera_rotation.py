@@ -12,18 +12,17 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image, Indices, Mask
 from paceline.cameras import Camera
+from paceline.imaging.point_tracking import to_8_bit, track_forth_and_back
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 
 CORNERS = 200  # of the reference frame, in each view
 CORNER_DISTANCE_PX = 20
 STATIC_CORNER_QUALITY = 0.005  # least eigenvalue of a corner's structure, as a share of the best corner's
-TRACKING_WINDOW_PX = (15, 15)
-TRACKING_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)  # 30 iterations, 0.01 px
+TRACKING_PRECISION_PX = 0.01
 TRACKING_LEVELS = 2  # a picture may move by some ten pixels
 MAX_CORNER_RETURN_PX = 0.3  # greatest distance between a corner and where it is tracked back to
 MIN_STATIC_CORNERS = 20  # least corners that a rotation is fitted to
@@ -69,7 +68,7 @@ class ReferenceView:
     """The corners of one camera's reference frame."""
 
     def __init__(self, camera: Camera, image: Image) -> None:
-        self.camera, self.image = camera, _picture(image)
+        self.camera, self.image = camera, to_8_bit(image)
         corners = cv2.goodFeaturesToTrack(self.image, CORNERS, STATIC_CORNER_QUALITY, CORNER_DISTANCE_PX, blockSize=7)
         self.corners = np.zeros((0, 2)) if corners is None else np.asarray(corners[:, 0], float)
 
@@ -77,7 +76,8 @@ class ReferenceView:
         """The rotation vector (3,) of the camera in ``image`` (H, W), its covariance (3, 3) and the static share."""
         if len(self.corners) < MIN_STATIC_CORNERS:
             return np.zeros(3), np.eye(3), 0.0
-        tracked, found = _track(self.image, _picture(image), self.corners)
+        limits = TRACKING_LEVELS, TRACKING_PRECISION_PX, MAX_CORNER_RETURN_PX
+        tracked, found = track_forth_and_back(self.image, to_8_bit(image), self.corners, self.corners, *limits)
         if found.sum() < MIN_STATIC_CORNERS:
             return np.zeros(3), np.eye(3), 0.0
         before, after = self.corners[found], tracked[found]
@@ -168,17 +168,3 @@ def expected_rotations(rotations: CameraRotations) -> Array:
     log_odds = 0.5 * count * (ratio - 1.0 - np.log(ratio))
     swaying = np.where(log_odds > MIN_LOG_ODDS, np.maximum((share * (rotations.vectors**2 - noise)).sum(0), 0.0), 0.0)
     return np.asarray(known * rotations.vectors * swaying / (swaying + noise))
-
-
-def _track(reference: NDArray[np.uint8], image: NDArray[np.uint8], corners: Array) -> tuple[Array, Mask]:
-    """Where ``corners`` (N, 2) px of ``reference`` are in ``image``, and which of them are tracked back (N,)."""
-    start = corners.astype(np.float32)
-    options = (None, None, TRACKING_WINDOW_PX, TRACKING_LEVELS, TRACKING_CRITERIA)
-    tracked, found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(reference, image, start, np.empty(0), *options))
-    back, returned, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(image, reference, tracked, np.empty(0), *options))
-    near = np.linalg.norm(back - start, axis=1) < MAX_CORNER_RETURN_PX
-    return np.asarray(tracked, float), near & (found.ravel() == 1) & (returned.ravel() == 1)
-
-
-def _picture(image: Image) -> NDArray[np.uint8]:
-    return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)

@@ -77,8 +77,9 @@ def fit_epipolar_residuals(
     shift = float(np.linalg.norm(x[:Q]))
     explained, by_static = X[: len(static.left), :Q] @ x[:Q], X[: len(static.left), :Q]
     spread = np.einsum("ni,ij,nj->n", by_static, covariance[:Q, :Q], by_static)
-    rms = [float(np.sqrt(values.mean())) for values in (explained**2, spread) if len(values)]
-    epipolar_px = Quantity(*rms, "estimated") if rms else None
+    epipolar_px = None
+    if len(static.left):
+        epipolar_px = Quantity(float(np.sqrt((explained**2).mean())), float(np.sqrt(spread.mean())), "estimated")
     corrected = rig
     if rig.uncertainty is not None:
         remaining = replace(rig.uncertainty, covariance=root.T @ covariance[:Q, :Q] @ root)

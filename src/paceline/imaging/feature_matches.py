@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from paceline.arrays import Array, Image, Mask
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance
+from paceline.imaging.point_tracking import to_8_bit, track_forth_and_back
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.sift_features import Descriptors, detect_features, match_descriptors
 
@@ -36,8 +37,7 @@ MAX_EPIPOLAR_PX = 8.0  # of a match: the calibration's error and the offset toge
 FEATURE_CONTRAST = 0.02  # of features, half of OpenCV's: far vehicles are small and faint
 MAX_RATIO = 0.85  # Lowe's ratio of the best match's distance to that of the second best
 MAX_REFINEMENT_PX, MAX_MATCH_RETURN_PX = 2.0, 0.15  # by which a match is refined; by which it fails to come back
-REFINEMENT_WINDOW_PX = (15, 15)
-REFINEMENT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005)  # 30 iterations, 0.005 px
+REFINEMENT_PRECISION_PX = 0.005
 MAX_ACCELERATION_SHARE = 0.5  # difference between a point's displacements before and after over their sum
 MIN_DISPLACEMENT_PX = 1.0
 
@@ -157,8 +157,10 @@ def _match_views(
     i, j = match_descriptors(described, described_right, MAX_RATIO)
     near = np.abs(epipolar_distance(rig, left[i], right[j])) < MAX_EPIPOLAR_PX
     left, right = left[i][near], right[j][near]
-    right, refined = _refine(_picture(frame.left), _picture(frame.right), left, right)
-    return Matches(left[refined], right[refined], np.zeros((int(refined.sum()), 2)))
+    pictures = to_8_bit(frame.left), to_8_bit(frame.right)
+    refined, found = track_forth_and_back(*pictures, left, right, 0, REFINEMENT_PRECISION_PX, MAX_MATCH_RETURN_PX)
+    found &= np.linalg.norm(refined - right, axis=1) < MAX_REFINEMENT_PX
+    return Matches(left[found], refined[found], np.zeros((int(found.sum()), 2)))
 
 
 def _features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array, Descriptors]:
@@ -176,21 +178,3 @@ def _features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array, Desc
         places.append(found + corner)
         descriptors.append(described)
     return np.concatenate(places), np.concatenate(descriptors)
-
-
-def _refine(left: NDArray[np.uint8], right: NDArray[np.uint8], places: Array, matched: Array) -> tuple[Array, Mask]:
-    """The places (N, 2) in ``right`` of ``places`` (N, 2) of ``left``, starting at ``matched``, by Lucas–Kanade; and
-    whether they are found again the other way round."""
-    if not len(places):
-        return matched, np.zeros(0, bool)
-    start, guess = places.astype(np.float32), matched.astype(np.float32)
-    options = (None, None, REFINEMENT_WINDOW_PX, 0, REFINEMENT_CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW)
-    refined, found, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(left, right, start, guess.copy(), *options))
-    back, returned, _ = map(np.asarray, cv2.calcOpticalFlowPyrLK(right, left, refined, start.copy(), *options))
-    near = np.linalg.norm(refined - guess, axis=1) < MAX_REFINEMENT_PX
-    near &= np.linalg.norm(back - start, axis=1) < MAX_MATCH_RETURN_PX
-    return np.asarray(refined, float), near & (found.ravel() == 1) & (returned.ravel() == 1)
-
-
-def _picture(image: Image) -> NDArray[np.uint8]:
-    return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)

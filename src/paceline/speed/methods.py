@@ -124,6 +124,8 @@ def measure_as_seen(
                 m.track,
                 left=cameras.as_recorded(m.track.frame, m.track.left, 0),
                 right=cameras.as_recorded(m.track.frame, m.track.right, 1),
+                particles_left=cameras.as_recorded(m.track.frame, m.track.particles_left, 0),
+                particles_right=cameras.as_recorded(m.track.frame, m.track.particles_right, 1),
             ),
         )
         for m in result.measurements
