@@ -243,11 +243,17 @@ def test_each_row_has_its_time():
     left = replace(CAMERA, readout=Quantity(0.02))
     right = replace(CAMERA, readout=Quantity(0.0, 0.012, "assumed"))
     rig = StereoRig(left, right, np.eye(3), np.array([-0.5, 0, 0]))
-    times, timing = exposures(keyframes, rig, Quantity(0.01, 0.002, "estimated"))
+    times, timing, readouts = exposures(keyframes, rig, Quantity(0.01, 0.002, "estimated"))
     rows = (np.array([100.0, 620.0]) + 0.5) / 768 - 0.5
     np.testing.assert_allclose(times, np.column_stack([[0.0, 0.2] + 0.02 * rows, [0.01, 0.21]]))
     assert timing.stds == {"offset": 0.002, "right readout": 0.012}
     np.testing.assert_allclose(timing.shift(np.array([1.0, 0.5])), np.outer(0.002 + 0.006 * rows, [0, 1]))
+    np.testing.assert_allclose(readouts, [0.02, 0.0])
+    # a row 10 px below the centre is read 0.02 · 10 / 768 s later, in which the vehicle moves on by 2600 px/s
+    shear = timing.shear(readouts)
+    moved = shear[1, 0] @ [150.0, 630.0, 1.0]
+    np.testing.assert_allclose(moved, [150.0, 630.0 + 2600 * 0.02 * 10 / 768, 1.0])
+    np.testing.assert_allclose(shear[:, 1], np.tile(np.eye(3), (2, 1, 1)))
 
 
 # --- clips ----------------------------------------------------------------------------------------------------------

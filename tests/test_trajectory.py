@@ -22,9 +22,9 @@ from paceline.speed.refinement.trajectory import (
     MOTION_PARAMETER_NAMES,
     MOTION_TERMS,
     PARAMETER_INDEX,
-    ExposureTiming,
     Prior,
     Trajectory,
+    exact_timing,
     prior,
 )
 
@@ -54,8 +54,10 @@ def trajectory_on(path, times=(0.0, 0.2, 0.4, 0.8)):
         inverse_depth_std=0.01,
     )
     deviation = deviation_modes(path, path.nearest(plane.centre), 20.0, on_path=True)
-    exact = ExposureTiming(np.zeros((0, len(times), 2)))
-    return Trajectory(RIG, QUAD, plane, path, np.stack([times, times], axis=1), deviation, np.array(times), exact)
+    exact = exact_timing(len(times))
+    return Trajectory(
+        RIG, QUAD, plane, path, np.stack([times, times], axis=1), deviation, np.array(times), exact, np.zeros(2)
+    )
 
 
 def start_of(t, depth=30.0, speed=15.0):

@@ -23,7 +23,7 @@ from paceline.speed.geometry.initial_plane import plane_from_outlines
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.path_deviation import deviation_of
 from paceline.speed.refinement.photometric_fit import PhotometricFit
-from paceline.speed.refinement.trajectory import ExposureTiming, Trajectory, prior
+from paceline.speed.refinement.trajectory import Trajectory, exact_timing, prior
 
 HEIGHT_STEP_M = 0.075  # difference in height of two successive outlines
 MIN_OUTLINE_HEIGHT_M = 0.35  # least height of an outline
@@ -92,5 +92,5 @@ def _initial_trajectory(
     document = VehicleDocument("", lane.name, keyframes[0].frame, left, right, "front", None)
     plane = plane_from_outlines(lane.rig, document, path, OUTLINE_STD_PX)
     deviation = deviation_of(path, plane, times, abs(speed), on_path=True, driver=driver)
-    exact = ExposureTiming(np.zeros((0, *times.shape)))
-    return Trajectory(lane.rig, left, plane, path, times, deviation, times.mean(1), exact, driver), abs(speed)
+    exact, none = exact_timing(len(times)), np.zeros(2)
+    return Trajectory(lane.rig, left, plane, path, times, deviation, times.mean(1), exact, none, driver), abs(speed)

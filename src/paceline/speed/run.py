@@ -178,7 +178,7 @@ class VehicleMeasurement:
         else:
             plane = plane_from_outlines(self.rig, self.vehicle, path, self.configuration.click_sigma)
         frame_times = np.array([np.mean(k.times) for k in self.keyframes])
-        times, timing = exposures(self.keyframes, self.rig, self.offset)
+        times, timing, readouts = exposures(self.keyframes, self.rig, self.offset)
         outlined = times[0, 0]  # when the left view shows the outline
         times, frame_times = times - outlined, frame_times - outlined
         driver = self.configuration.driver
@@ -192,6 +192,7 @@ class VehicleMeasurement:
             deviation,
             frame_times,
             timing,
+            readouts,
             driver,
             curvature_mean,
         )

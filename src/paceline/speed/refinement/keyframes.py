@@ -23,27 +23,42 @@ class Keyframe:
     quads: Array  # (2, 4, 2) px, of the filter
 
 
-def exposures(keyframes: Sequence[Keyframe], rig: StereoRig, offset: Quantity | None) -> tuple[Array, ExposureTiming]:
-    """When each view exposes the vehicle, (F, 2) s, and how uncertain that is.
+def exposures(
+    keyframes: Sequence[Keyframe], rig: StereoRig, offset: Quantity | None
+) -> tuple[Array, ExposureTiming, Array]:
+    """When each view exposes the vehicle, (F, 2) s, how uncertain that is, and both readouts (2,) s.
 
-    The rows of a rolling shutter are exposed one after another; the vehicle is small enough for that of its centre to
-    count. The times of the keyframes hold the ``offset`` (s) of the right view already. What is None is taken as exact.
+    The rows of a rolling shutter are exposed one after another: the vehicle is exposed when the row of its centre is,
+    and sheared by its motion in the image while its rows are read. The times of the keyframes hold the ``offset`` (s)
+    of the right view already. What is None is taken as exact.
     """
-    rows = np.array([[quad[:, 1].mean() for quad in k.quads] for k in keyframes])
+    centres = np.array([k.quads.mean(1) for k in keyframes])
     heights = np.array([camera.image_size[1] for camera in rig.cameras])
-    below_middle = (rows + 0.5) / heights - 0.5
+    below_middle = (centres[..., 1] + 0.5) / heights - 0.5
     times = np.array([k.times for k in keyframes])
-    right, left = np.array([0.0, 1.0]), np.array([1.0, 0.0])
+    velocity = np.stack([np.gradient(centres[:, side], times[:, side], axis=0) for side in (0, 1)], axis=1)
+    left, right = np.eye(2)
     shares = np.broadcast_to(right, times.shape), below_middle * left, below_middle * right
-    modes, stds = [], {}
-    for name, quantity, share in zip(
-        EXPOSURE_QUANTITIES, (offset, rig.left.readout, rig.right.readout), shares, strict=True
+    readouts, modes, readout_modes, stds = np.zeros(2), [], [], {}
+    for name, quantity, share, views in zip(
+        EXPOSURE_QUANTITIES,
+        (offset, rig.left.readout, rig.right.readout),
+        shares,
+        (np.zeros(2), left, right),
+        strict=True,
     ):
         if quantity is None:
             continue
-        if name != "offset":
-            times = times + quantity.value * share
+        readouts = readouts + quantity.value * views
         if quantity.std:
             modes.append(quantity.std * share)
+            readout_modes.append(quantity.std * views)
             stds[name] = quantity.std
-    return times, ExposureTiming(np.array(modes).reshape(-1, *times.shape), stds)
+    timing = ExposureTiming(
+        np.array(modes).reshape(-1, *times.shape),
+        np.array(readout_modes).reshape(-1, 2),
+        velocity / heights[:, None],
+        centres[..., 1],
+        stds,
+    )
+    return times + readouts * below_middle, timing, readouts

@@ -48,8 +48,10 @@ class RigParameters:
     def trajectory(self, offset: Array) -> Trajectory:
         """The trajectory with the cameras at ``offset`` (Q + M,), its path and plane scaled with the baseline."""
         rig = self._offset_rig(offset[: len(self.directions)])
-        times = self.stated.times + self.stated.timing.shift(offset[len(self.directions) :])
-        return replace(self.stated.scaled(rig.baseline / self.stated.rig.baseline), rig=rig, times=times)
+        stated, of_exposures = self.stated, offset[len(self.directions) :]
+        times = stated.times + stated.timing.shift(of_exposures)
+        readouts = stated.readouts + of_exposures @ stated.timing.readouts
+        return replace(stated.scaled(rig.baseline / stated.rig.baseline), rig=rig, times=times, readouts=readouts)
 
     def homography_jacobian(self, trajectory: Trajectory, theta: Array, offset: Array, H: Array) -> Array:
         """∂H/∂offset (views, 3, 3, Q + M) by finite differences; the motion stays, but the path scales with the
@@ -60,13 +62,17 @@ class RigParameters:
         of_rig = offset[: len(self.directions)]
         by_time = [
             (
-                replace(trajectory, times=trajectory.times + DIFFERENCE_STEP * mode)
+                replace(
+                    trajectory,
+                    times=trajectory.times + DIFFERENCE_STEP * mode,
+                    readouts=trajectory.readouts + DIFFERENCE_STEP * readouts,
+                )
                 .homographies(theta)[0]
                 .reshape(H.shape)
                 - H
             )
             / DIFFERENCE_STEP
-            for mode in trajectory.timing.modes
+            for mode, readouts in zip(trajectory.timing.modes, trajectory.timing.readouts, strict=True)
         ]
         return np.concatenate([self._by_rig(trajectory, theta, of_rig, H), *(d[..., None] for d in by_time)], axis=-1)
 

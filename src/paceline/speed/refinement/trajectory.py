@@ -54,15 +54,34 @@ class Prior:
 class ExposureTiming:
     """What is uncertain of the exposures of both views: M of `EXPOSURE_QUANTITIES`, with standard deviations (s).
 
-    ``modes`` (M, F, 2) are the exposures' changes (s) by one standard deviation of each.
+    ``modes`` (M, F, 2) are the exposures' changes (s) by one standard deviation of each, and ``readouts`` (M, 2) those
+    of the two readouts. While the rows of the region are read it moves by ``row_motion`` (F, 2, 2), px/s for each row
+    of the picture, about its ``rows`` (F, 2), px.
     """
 
     modes: Array
+    readouts: Array
+    row_motion: Array
+    rows: Array
     stds: dict[str, float] = field(default_factory=dict)
 
     def shift(self, sigma: Array) -> Array:
         """The exposures' change (F, 2), s, by ``sigma`` (M,) standard deviations."""
         return np.asarray(np.tensordot(sigma, self.modes, 1))
+
+    def shear(self, readouts: Array) -> Array:
+        """How the region is sheared and stretched in both views (F, 2, 3, 3), by their ``readouts`` (2,) s."""
+        by_row = self.row_motion * readouts[:, None]
+        shear = np.tile(np.eye(3), (*self.rows.shape, 1, 1))
+        shear[..., :2, 1] += by_row
+        shear[..., :2, 2] -= by_row * self.rows[..., None]
+        return shear
+
+
+def exact_timing(frames: int) -> ExposureTiming:
+    """The timing of ``frames`` that are all exposed at once."""
+    none = np.zeros((0, 2))
+    return ExposureTiming(np.zeros((0, frames, 2)), none, np.zeros((frames, 2, 2)), np.zeros((frames, 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +90,10 @@ class Trajectory:
 
     ``plane`` gives the initial normal; ``times`` (F, 2) are when each view exposes the region, in seconds since the
     outline, and ``frame_times`` (F,) when the speed is asked for: they do not follow the exposures where these are
-    estimated. ``timing`` says how uncertain the exposures are. The parameters ``theta`` (n,) are those of
-    MOTION_PARAMETER_NAMES, then the amplitudes of ``deviation`` and those of a varying acceleration, a Gaussian process
-    over time. ``driver`` gives the prior of the motion; ``curvature_mean`` (1/m) is the prior mean of the curvature in
-    addition to the path's: not zero where the path is the filter's.
+    estimated. ``timing`` says how uncertain the exposures are, and ``readouts`` (2,) s are those of both views' rows.
+    The parameters ``theta`` (n,) are those of MOTION_PARAMETER_NAMES, then the amplitudes of ``deviation`` and those of
+    a varying acceleration, a Gaussian process over time. ``driver`` gives the prior of the motion; ``curvature_mean``
+    (1/m) is the prior mean of the curvature in addition to the path's: not zero where the path is the filter's.
     """
 
     rig: StereoRig
@@ -85,6 +104,7 @@ class Trajectory:
     deviation: PathDeviation
     frame_times: Array
     timing: ExposureTiming
+    readouts: Array
     driver: DriverSettings = DEFAULTS.driver
     curvature_mean: float = 0.0
 
@@ -232,7 +252,11 @@ class Trajectory:
         H_d = K @ (R_view @ R) @ back
         shift = (R_view @ t[..., None])[..., 0] + t_view
         plane = shift[..., None] * n[..., None, None, None, :]
-        return np.asarray(d[..., None, None, None, None] * H_d + K @ plane @ back), H_d
+        H = d[..., None, None, None, None] * H_d + K @ plane @ back
+        if self.readouts.any():
+            shear = self.timing.shear(self.readouts)
+            return shear @ H, shear @ H_d
+        return np.asarray(H), H_d
 
     def quads(self, theta: Array) -> Array:
         """The region's corners (…, F, 2, 4, 2) px in both views at every frame by ``theta`` (…, n)."""
