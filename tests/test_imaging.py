@@ -32,6 +32,7 @@ from paceline.simulation.stereo.scene import Scene, Vehicle
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement.keyframes import Keyframe, exposures
 
+UNKNOWN_OFFSET = Quantity(0.0, 0.1, "assumed")
 ROTATION = st.tuples(*[st.floats(-2e-3, 2e-3)] * 3).map(np.array)
 CAMERA = Camera((1024, 768), np.array([[2200.0, 0, 511.5], [0, 2210, 383.5], [0, 0, 1]]))
 LENS = replace(CAMERA, distortion=np.array([-0.2, 0.05, 0.001, -0.0005]))
@@ -167,7 +168,7 @@ def test_the_velocity_across_the_epipolar_lines_is_that_in_the_right_view(rig):
 @pytest.mark.parametrize("offset", [-0.004, 0.0, 0.0083, 0.07])
 @pytest.mark.parametrize("readouts", [(0.0, 0.0), (0.02, 0.02), (0.0, 0.01)])
 def test_the_offset_is_found_within_its_uncertainty(rig, offset, readouts):
-    fit = fit_epipolar_residuals(rig, *moving_points(rig, offset, readouts), 0.1, 0.017)
+    fit = fit_epipolar_residuals(rig, *moving_points(rig, offset, readouts), UNKNOWN_OFFSET, 0.017)
     assert abs(fit.offset.value - offset) < 4 * fit.offset.std
     assert fit.offset.std < 0.003
     assert fit.rig is rig  # it is exact
@@ -176,9 +177,9 @@ def test_the_offset_is_found_within_its_uncertainty(rig, offset, readouts):
 def test_where_little_moves_the_offset_is_unknown(rig):
     static, moving = moving_points(rig, 0.01)
     few = Matches(moving.left[:5], moving.right[:5], moving.velocity[:5])
-    assert fit_epipolar_residuals(rig, static, few, 0.1, 0.017).offset is None
+    assert fit_epipolar_residuals(rig, static, few, UNKNOWN_OFFSET, 0.017).offset is None
     none = Matches(*np.zeros((3, 0, 2)))
-    fit = fit_epipolar_residuals(rig, none, none, 0.1, 0.017)
+    fit = fit_epipolar_residuals(rig, none, none, UNKNOWN_OFFSET, 0.017)
     assert fit.offset is None and fit.epipolar_px is None
 
 
@@ -189,7 +190,9 @@ def test_what_moves_along_the_epipolar_lines_leaves_the_offset_unknown(slope):
     left, right = rig.project(P)
     velocity = (rig.left.project(P + 1e-4 * V) - left) / 1e-4
     right += np.random.default_rng(7).normal(0, 0.05, right.shape)
-    fit = fit_epipolar_residuals(rig, Matches(*np.zeros((3, 0, 2))), Matches(left, right, velocity), 0.1, 0.017)
+    fit = fit_epipolar_residuals(
+        rig, Matches(*np.zeros((3, 0, 2))), Matches(left, right, velocity), UNKNOWN_OFFSET, 0.017
+    )
     assert abs(fit.offset.value) < 0.01 and fit.offset.std == pytest.approx(0.1, rel=0.01)
 
 
@@ -199,7 +202,7 @@ def test_static_points_correct_what_shows_of_a_wrong_calibration(rig):
     move = np.zeros(14)
     move[8], move[10] = 3e-4, -6e-4  # about the horizontal axis, and rolled
     wrong = replace(perturbed_rig(uncertain, move), uncertainty=uncertain.uncertainty)
-    fit = fit_epipolar_residuals(wrong, static, moving, 0.1, 0.017)
+    fit = fit_epipolar_residuals(wrong, static, moving, UNKNOWN_OFFSET, 0.017)
     before = np.abs(epipolar_distance(wrong, static.left, static.right))
     after = np.abs(epipolar_distance(fit.rig, static.left, static.right))
     assert np.median(before) > 0.3 and np.median(after) < 0.08

@@ -28,6 +28,7 @@ CORRELATED_MATCHES = 4.0  # neighbouring matches that share their errors
 COMMON_MOVING_RESIDUAL_PX = 0.03
 RIG_STEP_SIGMA = 1e-2  # step of finite differences, in prior standard deviations
 RESIDUAL_FIT_STEPS = 30
+MIN_STD_S = 1e-6  # of an offset or a readout that is exact
 OFFSET_STEP_S = 0.001  # between offsets that are tried before the fit
 OUTLIER_PX = 1.0  # epipolar residual of a match that is wrong
 
@@ -49,12 +50,12 @@ class EpipolarFit:
 
 
 def fit_epipolar_residuals(
-    rig: StereoRig, static: Matches, moving: Matches, offset_std: float, readout_difference_std: float
+    rig: StereoRig, static: Matches, moving: Matches, expected: Quantity, readout_difference_std: float
 ) -> EpipolarFit:
     """A robust fit (Tukey's weights) of the rig, the offset and the difference between the readouts, right minus left.
 
-    The rig has its calibration's uncertainty as its prior, the offset and the readouts' difference are 0 with the
-    standard deviations ``offset_std`` and ``readout_difference_std`` (s): what moves along the epipolar lines shows
+    The rig has its calibration's uncertainty as its prior and the offset that which is ``expected``; the readouts'
+    difference is 0 with the standard deviation ``readout_difference_std`` (s). What moves along the epipolar lines shows
     neither.
     """
     left, right = np.concatenate([static.left, moving.left]), np.concatenate([static.right, moving.right])
@@ -65,6 +66,8 @@ def fit_epipolar_residuals(
         for change in root
     ]
     across = velocity_across(rig, left, right, np.concatenate([static.velocity, moving.velocity]))
+    residual = residual - expected.value * across  # what remains is by a difference from it
+    offset_std = max(expected.std, MIN_STD_S)
     rows = (right[:, 1] + 0.5) / rig.right.image_size[1] - 0.5
     Q, is_moving = len(root), len(moving.left) >= MIN_MOVING_MATCHES
     X = np.column_stack([*by_rig, is_moving * across, is_moving * across * rows])
@@ -89,7 +92,9 @@ def fit_epipolar_residuals(
         return EpipolarFit(corrected, shift, epipolar_px, None)
     speed = float(np.sqrt((across[len(static.left) :][used] ** 2).mean()))
     std = float(np.hypot(np.sqrt(covariance[Q, Q]), COMMON_MOVING_RESIDUAL_PX / max(speed, 1e-9)))
-    return EpipolarFit(corrected, shift, epipolar_px, Quantity(float(x[Q]), min(std, offset_std), "estimated"))
+    return EpipolarFit(
+        corrected, shift, epipolar_px, Quantity(expected.value + float(x[Q]), min(std, offset_std), "estimated")
+    )
 
 
 def _likely_offset(residual: Array, across: Array, reach: float) -> float:

@@ -108,7 +108,8 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     if clip.offset is not None and rig.uncertainty is None:  # matches could tell nothing that is not known
         fit = EpipolarFit(rig, 0.0, None, None)
     else:
-        fit = fit_epipolar_residuals(rig, *match_views(steady), interval / 2, readout_difference_std(rig))
+        expected = clip.offset or Quantity(0.0, interval / 2, "assumed")
+        fit = fit_epipolar_residuals(rig, *match_views(steady), expected, readout_difference_std(rig))
     offset = clip.offset or expected_offset(fit.offset, interval)
     steady = steady.corrected(offset.value, steady.rotations)
     cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit)
