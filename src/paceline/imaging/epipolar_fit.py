@@ -55,8 +55,8 @@ def fit_epipolar_residuals(
     """A robust fit (Tukey's weights) of the rig, the offset and the difference between the readouts, right minus left.
 
     The rig has its calibration's uncertainty as its prior and the offset that which is ``expected``; the readouts'
-    difference is 0 with the standard deviation ``readout_difference_std`` (s). What moves along the epipolar lines shows
-    neither.
+    difference is 0 with the standard deviation ``readout_difference_std`` (s). What moves along the epipolar lines
+    shows neither.
     """
     left, right = np.concatenate([static.left, moving.left]), np.concatenate([static.right, moving.right])
     root = np.zeros((0, 14)) if rig.uncertainty is None else rig.uncertainty.covariance_root
