@@ -45,7 +45,7 @@ camera = Camera((64, 48), np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1.0
 class Clip:
     video: str = ""
     addresses: tuple = ()
-    rate = bit_depth = None
+    rate = bit_depth = offset = None
     path = Path("a.yaml")
     camera = camera
     rig = StereoRig(camera, camera, np.eye(3), np.array([-1.0, 0, 0]))
