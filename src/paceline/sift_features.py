@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.arrays import Array, Image, Indices
+from paceline.arrays import Array, Image, Indices, to_8_bit
 
 Descriptors = NDArray[np.float32]
 
@@ -15,8 +15,7 @@ def detect_features(
     detector: cv2.SIFT, image: Image, mask: NDArray[np.uint8] | None = None
 ) -> tuple[Array, Descriptors]:
     """Places (n, 2) px of features of ``image`` (H, W), 0–255, where the ``mask`` is set, and descriptors (n, 128)."""
-    picture = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    keypoints, descriptors = detector.detectAndCompute(picture, mask)
+    keypoints, descriptors = detector.detectAndCompute(to_8_bit(image), mask)
     if not keypoints:
         return np.empty((0, 2)), np.empty((0, 128), np.float32)
     return np.array([f.pt for f in keypoints]), np.asarray(descriptors, np.float32)

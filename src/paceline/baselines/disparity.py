@@ -12,7 +12,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from paceline.arrays import Array, Image
+from paceline.arrays import Array, Image, to_8_bit
 from paceline.cameras import StereoRig
 
 BLOCK_PX = 5
@@ -94,7 +94,7 @@ class Rectification:
             speckleWindowSize=40,
             speckleRange=2,
         )
-        a, b = (np.clip(np.rint(i), 0, 255).astype(np.uint8) for i in (left, right))
+        a, b = (to_8_bit(i) for i in (left, right))
         disparity = np.asarray(matcher.compute(a, b), float)[:, count:] / 16.0
         Z = np.where(disparity >= 0, self.fb / np.maximum(disparity + min_disparity, 1e-6), np.nan)
         return DepthMap(low, left[:, count:], Z)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.arrays import Array, Image, Mask
+from paceline.arrays import Array, Image, Mask, to_8_bit
 from paceline.baselines.template_tracking import ScaledShift
 
 FLOW_WINDOW_LIMITS_PX = (7, 17)
@@ -30,7 +30,7 @@ def detect_corners(image: Image, quad: Array, known: Array) -> Array:
     inner = quad.mean(0) + (1 - 2 * rim) * (quad - quad.mean(0))
     low = np.maximum(np.floor(quad.min(0)).astype(int), 0)
     high = np.ceil(quad.max(0)).astype(int) + 1
-    picture = _bytes(image[low[1] : high[1], low[0] : high[0]])
+    picture = to_8_bit(image[low[1] : high[1], low[0] : high[0]])
     max_new = MAX_CORNERS - len(known)
     if max_new <= 0 or not picture.size:
         return np.empty((0, 2))
@@ -110,9 +110,5 @@ def _normalized(image: Image, points: Array) -> NDArray[np.uint8]:
     (x0, y0), (x1, y1) = np.floor(points.min(0)).astype(int), np.ceil(points.max(0)).astype(int) + 1
     about = image[max(y0, 0) : y1, max(x0, 0) : x1]
     if not about.size:
-        return _bytes(image)
-    return _bytes(NORMALIZED_MEAN + NORMALIZED_STD * (image - about.mean()) / max(float(about.std()), 1.0))
-
-
-def _bytes(image: Image) -> NDArray[np.uint8]:
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        return to_8_bit(image)
+    return to_8_bit(NORMALIZED_MEAN + NORMALIZED_STD * (image - about.mean()) / max(float(about.std()), 1.0))

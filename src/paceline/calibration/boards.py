@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.arrays import Array, Image, Indices
+from paceline.arrays import Array, Image, Indices, to_8_bit
 from paceline.errors import UnusableInput
 
 BoardDetector = Callable[[Image], "Corners"]
@@ -136,12 +136,12 @@ def _charuco_detector(board: Board) -> BoardDetector:
     detector = cv2.aruco.CharucoDetector(pattern)
 
     def detect(image: Image) -> Corners:
-        pixels, ids, *_ = detector.detectBoard(_bytes(image))
+        pixels, ids, *_ = detector.detectBoard(to_8_bit(image))
         if ids is None or len(ids) < board.min_corners or pattern.checkCharucoCornersCollinear(ids):
             return NO_CORNERS
         order = np.argsort(np.ravel(ids))
         corners = Corners(np.ravel(ids)[order].astype(np.int64), np.reshape(pixels, (-1, 2))[order].astype(float))
-        return _refine_corners(board, corners, _bytes(image))
+        return _refine_corners(board, corners, to_8_bit(image))
 
     return detect
 
@@ -177,7 +177,7 @@ def _chessboard_detector(board: Board) -> BoardDetector:
     size = board.columns, board.rows
 
     def detect(image: Image) -> Corners:
-        is_found, pixels = cv2.findChessboardCornersSB(_bytes(image), size, flags=cv2.CALIB_CB_ACCURACY)
+        is_found, pixels = cv2.findChessboardCornersSB(to_8_bit(image), size, flags=cv2.CALIB_CB_ACCURACY)
         if not is_found:
             return NO_CORNERS
         return Corners(np.arange(len(board.points)), np.reshape(pixels, (-1, 2)).astype(float))
@@ -192,10 +192,6 @@ def matching_order(left: Corners, right: Corners) -> Corners:
     """
     along = [c.pixels[-1] - c.pixels[0] for c in (left, right)]
     return right if along[0] @ along[1] >= 0 else Corners(right.ids, right.pixels[::-1].copy())
-
-
-def _bytes(image: Image) -> NDArray[np.uint8]:
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 NO_CORNERS = Corners(np.empty(0, np.int64), np.empty((0, 2)))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from paceline.follow.fitting import FRESH
 
-DRIFT = 0.002  # per cycle: of what it changes by, as the lead turns and lines that stand off its rear come nearer
-SURPRISE = 2.0  # standard deviations beyond which a ratio counts less: some lines may be others
+HEIGHT_RATIO_DRIFT = 0.002  # per cycle: of the ratio, as the lead turns and lines that stand off its rear come nearer
+MAX_INNOVATION_SIGMA = 2.0  # standard deviations beyond which a ratio counts less: some lines may be others
 
 
 class Aspect(NamedTuple):
@@ -21,7 +21,7 @@ class Aspect(NamedTuple):
 
     def aged(self, tau: float) -> Aspect:
         """``tau`` cycles later."""
-        return self._replace(variance=self.variance + tau * DRIFT**2)
+        return self._replace(variance=self.variance + tau * HEIGHT_RATIO_DRIFT**2)
 
     def learned(self, ratio: float, variance: float, deviation: float) -> tuple[float, Aspect]:
         """By how much, relative, its readout has stretched an image in which the target's height over its width is
@@ -29,9 +29,9 @@ class Aspect(NamedTuple):
         ``deviation`` is that of the stretch, see `readout.stretch_deviation`."""
         if not isfinite(variance):
             return 0.0, self
-        surprise = log(ratio) - self.log_ratio
+        innovation = log(ratio) - self.log_ratio
         noise = deviation**2 + FRESH * variance
-        noise *= max(1.0, surprise**2 / (SURPRISE**2 * (self.variance + noise)))
+        noise *= max(1.0, innovation**2 / (MAX_INNOVATION_SIGMA**2 * (self.variance + noise)))
         gain = 1.0 - noise / (self.variance + noise)
-        stretch = deviation**2 / (self.variance + noise) * surprise
-        return stretch, Aspect(self.log_ratio + gain * surprise, gain * noise)
+        stretch = deviation**2 / (self.variance + noise) * innovation
+        return stretch, Aspect(self.log_ratio + gain * innovation, gain * noise)

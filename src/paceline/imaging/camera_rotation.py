@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from paceline.arrays import Array, Image, Indices, Mask
+from paceline.arrays import Array, Image, Indices, Mask, to_8_bit
 from paceline.cameras import Camera
-from paceline.imaging.point_tracking import to_8_bit, track_forth_and_back
+from paceline.imaging.point_tracking import track_forth_and_back
+from paceline.imaging.robust_weights import tukey_weights
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 
-CORNERS = 200  # of the reference frame, in each view
+MAX_STATIC_CORNERS = 200  # of the reference frame, in each view
 CORNER_DISTANCE_PX = 20
 STATIC_CORNER_QUALITY = 0.005  # least eigenvalue of a corner's structure, as a share of the best corner's
 TRACKING_PRECISION_PX = 0.01
@@ -29,7 +30,6 @@ MIN_STATIC_CORNERS = 20  # least corners that a rotation is fitted to
 MIN_STATIC_SHARE = 0.5  # least share of a frame's corners that a rotation explains: else it is not known
 MIN_KNOWN_SHARE = 0.5  # least share of the frames in which it is known: else the camera itself travels
 MAX_STATIC_RESIDUAL_PX = 0.5  # of a corner that it explains
-TUKEY_SIGMA = 4.685  # residual in standard deviations beyond which Tukey's weight is zero
 MIN_CORNER_RESIDUAL_PX = 0.02  # residuals of tracked corners are at least those of interpolation
 # Standard deviation of what all corners of a view have in common beside the rotation: how the mast's foot moves, and
 # how the light does; measured on swaying clips with known rotations
@@ -69,7 +69,9 @@ class ReferenceView:
 
     def __init__(self, camera: Camera, image: Image) -> None:
         self.camera, self.image = camera, to_8_bit(image)
-        corners = cv2.goodFeaturesToTrack(self.image, CORNERS, STATIC_CORNER_QUALITY, CORNER_DISTANCE_PX, blockSize=7)
+        corners = cv2.goodFeaturesToTrack(
+            self.image, MAX_STATIC_CORNERS, STATIC_CORNER_QUALITY, CORNER_DISTANCE_PX, blockSize=7
+        )
         self.corners = np.zeros((0, 2)) if corners is None else np.asarray(corners[:, 0], float)
 
     def rotation_in(self, image: Image) -> tuple[Array, Array, float]:
@@ -136,7 +138,7 @@ def fit_rotation(camera: Camera, before: Array, after: Array) -> tuple[Array, Ar
         distance = np.linalg.norm(residual, axis=1)
         # the median of a Rayleigh distribution is 1.177 standard deviations
         sigma = max(float(np.median(distance)) / 1.177, MIN_CORNER_RESIDUAL_PX)
-        weights = np.maximum(1.0 - (distance / (TUKEY_SIGMA * sigma)) ** 2, 0.0) ** 2
+        weights = tukey_weights(distance, sigma)
         A = np.einsum("n,nij,nik->jk", weights, J, J)
         step = np.linalg.solve(A, np.einsum("n,nij,ni->j", weights, J, residual))
         R = cv2.Rodrigues(step)[0] @ R

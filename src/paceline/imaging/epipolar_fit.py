@@ -17,8 +17,8 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import Quantity, StereoRig, perturbed_rig
 from paceline.geometry import epipolar_distance, homogeneous
-from paceline.imaging.camera_rotation import TUKEY_SIGMA
 from paceline.imaging.feature_matches import Matches
+from paceline.imaging.robust_weights import tukey_weights
 
 MIN_MOVING_MATCHES = 12
 MIN_MATCH_RESIDUAL_PX = 0.03  # residuals of refined matches are at least those of interpolation
@@ -117,7 +117,7 @@ def _robust_fit(X: Array, residual: Array, prior: Array, start: Array) -> tuple[
     for _ in range(RESIDUAL_FIT_STEPS if len(X) else 0):
         misfit = np.abs(residual - X @ x)
         sigma = max(1.4826 * float(np.median(misfit)), MIN_MATCH_RESIDUAL_PX)
-        weights = np.maximum(1.0 - (misfit / (TUKEY_SIGMA * sigma)) ** 2, 0.0) ** 2
+        weights = tukey_weights(misfit, sigma)
         of_matches = (X.T * weights) / (CORRELATED_MATCHES * sigma**2)
         information = of_matches @ X + prior
         x = np.asarray(np.linalg.solve(information, of_matches @ residual), float)

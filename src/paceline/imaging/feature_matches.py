@@ -15,17 +15,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.arrays import Array, Image, Mask
+from paceline.arrays import Array, Image, Mask, to_8_bit
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance
-from paceline.imaging.point_tracking import to_8_bit, track_forth_and_back
+from paceline.imaging.point_tracking import track_forth_and_back
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.sift_features import Descriptors, detect_features, match_descriptors
 
 MAX_SECONDS = 60.0  # of a recording that are looked at
 MAX_INSTANTS = 16  # instants of these at which moving features are matched
 VELOCITY_STEP_S = 0.1  # least time between two frames from which a velocity is taken
-REDUCTION = 2  # by which pictures are reduced where no sub-pixel place is asked for
+PICTURE_REDUCTION = 2  # by which pictures are reduced where no sub-pixel place is asked for
 MOTION_BLUR_PX = 2.0  # smoothing of differences between frames, in reduced pixels
 MOTION_SIGMA = 6.0  # difference that counts as motion, in standard deviations of the noise …
 MIN_MOTION_GREY = 3.0  # … and at least in grey levels
@@ -100,7 +100,7 @@ def _moving(before: Image, image: Image, after: Image) -> tuple[Mask, Mask, Mask
 
 
 def _reduced(image: Image) -> Image:
-    size = (image.shape[1] // REDUCTION, image.shape[0] // REDUCTION)
+    size = (image.shape[1] // PICTURE_REDUCTION, image.shape[0] // PICTURE_REDUCTION)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
@@ -145,7 +145,7 @@ def _match_static(detector: cv2.SIFT, rig: StereoRig, frame: StereoFrame, masks:
     found = []
     for image, mask in zip(_views(frame), masks, strict=True):
         places, descriptors = detect_features(detector, _reduced(image), mask.astype(np.uint8))
-        found.append((REDUCTION * places + (REDUCTION - 1) / 2, descriptors))
+        found.append((PICTURE_REDUCTION * places + (PICTURE_REDUCTION - 1) / 2, descriptors))
     return _match_views(rig, frame, *found)
 
 
@@ -171,8 +171,8 @@ def _features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array, Desc
     boxes = sorted((s for s in stats[1:].tolist() if s[4] >= MIN_MOVING_AREA_PX), key=lambda s: -s[4])[:MAX_REGIONS]
     places, descriptors = [np.empty((0, 2))], [np.empty((0, 128), np.float32)]
     for x, y, width, height, _ in boxes:
-        crop_mask = grown[y : y + height, x : x + width].repeat(REDUCTION, 0).repeat(REDUCTION, 1)
-        corner = np.array([x, y]) * REDUCTION
+        crop_mask = grown[y : y + height, x : x + width].repeat(PICTURE_REDUCTION, 0).repeat(PICTURE_REDUCTION, 1)
+        corner = np.array([x, y]) * PICTURE_REDUCTION
         crop = image[corner[1] : corner[1] + crop_mask.shape[0], corner[0] : corner[0] + crop_mask.shape[1]]
         found, described = detect_features(detector, crop, crop_mask[: crop.shape[0], : crop.shape[1]])
         places.append(found + corner)

@@ -6,15 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.arrays import Array, Image, Mask
+from paceline.arrays import Array, Mask
 
 WINDOW_PX = (15, 15)
 MAX_ITERATIONS = 30
-
-
-def to_8_bit(image: Image) -> NDArray[np.uint8]:
-    """``image`` (H, W), 0–255, as OpenCV's tracker takes it."""
-    return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)
 
 
 def track_forth_and_back(

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.arrays import Array
+from paceline.arrays import Array, to_8_bit
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.reports.common.drawing import (
     DARK_BGR,
@@ -80,7 +80,7 @@ def write_overlay(
         for frame in recording:
             if video is None and frame.index > last_still:
                 break
-            views = _to_grey(frame.left), _to_grey(frame.right)
+            views = to_8_bit(frame.left), to_8_bit(frame.right)
             for layer in layers:
                 row = layer.rows.get(frame.index)
                 if row is not None and row in layer.still_rows:
@@ -207,11 +207,6 @@ def _crop(view: Grey, corners: Array, color: Color) -> bytes:
     encoded, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
     assert encoded
     return bytes(jpeg)
-
-
-def _to_grey(image: NDArray[np.float32]) -> Grey:
-    """``image`` (H, W), 0..255, in whole levels."""
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 def _to_bgr(grey: cv2.typing.MatLike) -> Picture:

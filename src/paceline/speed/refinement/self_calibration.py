@@ -48,10 +48,8 @@ class RigParameters:
     def trajectory(self, offset: Array) -> Trajectory:
         """The trajectory with the cameras at ``offset`` (Q + M,), its path and plane scaled with the baseline."""
         rig = self._offset_rig(offset[: len(self.directions)])
-        stated, of_exposures = self.stated, offset[len(self.directions) :]
-        times = stated.times + stated.timing.shift(of_exposures)
-        readouts = stated.readouts + of_exposures @ stated.timing.readouts
-        return replace(stated.scaled(rig.baseline / stated.rig.baseline), rig=rig, times=times, readouts=readouts)
+        scaled = self.stated.scaled(rig.baseline / self.stated.rig.baseline)
+        return replace(scaled, rig=rig).exposed(offset[len(self.directions) :])
 
     def homography_jacobian(self, trajectory: Trajectory, theta: Array, offset: Array, H: Array) -> Array:
         """∂H/∂offset (views, 3, 3, Q + M) by finite differences; the motion stays, but the path scales with the
@@ -59,22 +57,12 @@ class RigParameters:
 
         ``H`` (views, 3, 3) are the homographies of ``theta`` (n,) of ``trajectory`` at ``offset`` (Q + M,).
         """
-        of_rig = offset[: len(self.directions)]
-        by_time = [
-            (
-                replace(
-                    trajectory,
-                    times=trajectory.times + DIFFERENCE_STEP * mode,
-                    readouts=trajectory.readouts + DIFFERENCE_STEP * readouts,
-                )
-                .homographies(theta)[0]
-                .reshape(H.shape)
-                - H
-            )
-            / DIFFERENCE_STEP
-            for mode, readouts in zip(trajectory.timing.modes, trajectory.timing.readouts, strict=True)
+        by_rig = self._by_rig(trajectory, theta, offset[: len(self.directions)], H)
+        steps = DIFFERENCE_STEP * np.eye(len(trajectory.timing.modes))
+        by_exposure = [
+            (trajectory.exposed(step).homographies(theta)[0].reshape(H.shape) - H) / DIFFERENCE_STEP for step in steps
         ]
-        return np.concatenate([self._by_rig(trajectory, theta, of_rig, H), *(d[..., None] for d in by_time)], axis=-1)
+        return np.concatenate([by_rig, *(d[..., None] for d in by_exposure)], axis=-1)
 
     def _by_rig(self, trajectory: Trajectory, theta: Array, offset: Array, H: Array) -> Array:
         """∂H/∂offset (views, 3, 3, Q) by the rig's ``offset`` (Q,)."""

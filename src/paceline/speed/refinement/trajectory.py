@@ -147,6 +147,11 @@ class Trajectory:
             deviation=replace(self.deviation, u=factor * self.deviation.u),
         )
 
+    def exposed(self, sigma: Array) -> Trajectory:
+        """The same with the exposures changed by ``sigma`` (M,) standard deviations of what is uncertain of them."""
+        readouts = self.readouts + sigma @ self.timing.readouts
+        return replace(self, times=self.times + self.timing.shift(sigma), readouts=readouts)
+
     @cached_property
     def _ray(self) -> Array:
         return np.asarray(self.rig.left.rays(self.quad.mean(0)))
