@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from paceline.speed.refinement.robust_covariance import MIN_VARIANCE_SHARE, mean_of_estimates
+from paceline.speed.refinement.robust_covariance import (
+    MIN_INFORMATION_LEFT,
+    MIN_VARIANCE_SHARE,
+    assemble,
+    assemble_scores,
+    covariance,
+    mean_of_estimates,
+)
 
 sizes = st.integers(1, 9)
 values = sizes.flatmap(lambda n: arrays(float, n, elements=st.floats(-50, 50)))
@@ -51,3 +58,36 @@ def test_the_variance_is_that_of_the_mean_of_correlated_estimates(shared: float)
     stated = np.mean([mean_of_estimates(e, np.ones(n))[1] for e in errors])
     actual = np.var(errors.mean(1))
     assert stated == pytest.approx(actual, rel=0.1) if shared > 0.5 else stated > actual
+
+
+@pytest.mark.parametrize("scale", [1.0, 30.0])  # of one frame's scores: the clusters by frame win, or those by patch
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_covariance_is_the_sandwich_of_corrected_scores(seed: int, scale: float) -> None:
+    """Against the formula as it is written, with all parameters of all clusters and symmetric square roots."""
+    rng = np.random.default_rng(seed)
+    views, K, P, S = 8, 5, 3, 2
+    J = rng.normal(size=(views, K, 6, P + S))
+    cells_A, cells = np.einsum("vkmi,vkmj->vkij", J, J), rng.normal(size=(views, K, P + S))
+    cells[:2] *= scale
+    prior = 0.5 * np.eye(P + K * S)
+    A, gradient = assemble(cells_A, P) + prior, rng.normal(size=P)
+
+    def sandwich(clusters: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        values, axes = np.linalg.eigh(A)
+        root, back = axes * np.sqrt(values) @ axes.T, axes / np.sqrt(values) @ axes.T
+        middle = prior.copy()
+        for A_i, score in clusters:
+            share, vectors = np.linalg.eigh(back @ A_i @ back)
+            enlarged = vectors / np.sqrt(np.maximum(1.0 - share, MIN_INFORMATION_LEFT)) @ vectors.T
+            corrected = root @ enlarged @ back @ score
+            middle += np.outer(corrected, corrected)
+        return (np.linalg.inv(A) @ middle @ np.linalg.inv(A))[:P, :P]
+
+    def cluster(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return assemble(cells_A * chosen[..., None, None], P), assemble_scores(cells * chosen[..., None], P)
+
+    v, k = np.indices((views, K))
+    by_frame = sandwich([cluster(v // 2 == n) for n in range(views // 2)])
+    by_patch = sandwich([cluster(k == n) for n in range(K)])
+    wider = max(by_frame, by_patch, key=lambda C: gradient @ C @ gradient)
+    np.testing.assert_allclose(covariance(A, prior, cells_A, cells, gradient), wider, rtol=1e-9, atol=1e-12)

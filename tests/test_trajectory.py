@@ -27,6 +27,7 @@ from paceline.speed.refinement.trajectory import (
     exact_timing,
     prior,
 )
+from paceline.speed.refinement.trajectory_cpu import own_path_frames
 
 K = np.array([[2000.0, 0, 511.5], [0, 2000.0, 383.5], [0, 0, 1]])
 RIG = StereoRig(Camera((1024, 768), K), Camera((1024, 768), K), np.eye(3), np.array([-0.5, 0, 0]))
@@ -124,6 +125,22 @@ def test_a_batch_of_motions_equals_single_ones(path):
         np.testing.assert_allclose(t.quads(thetas)[i], t.quads(thetas[i]), atol=1e-4)
         np.testing.assert_allclose(per_metre[i], t.homographies(thetas[i])[1], rtol=1e-4, atol=1e-4)
     assert H.shape == (3, 2, len(t.times), 2, 3, 3)
+
+
+@pytest.mark.parametrize("radius", [25.0, 120.0])
+def test_without_deviation_the_own_path_is_the_drawn_one(radius):
+    """The compiled integration against the path's own splines, frames and nearest place, beyond its ends as well."""
+    path = curved_path(radius)
+    beside = path.at(np.array([path.s[-1] - 8.0])) + np.array([[0.4, -0.2, 0.1]])
+    start, distances = path.nearest(beside[0]), np.linspace(-4.0, 12.0, 13)
+    frames, places = np.empty((1, 13, 3, 3)), np.empty((1, 13, 3))
+    u, none = np.linspace(-5.0, 13.0, 97), np.zeros((1, 97))
+    own_path_frames(*path.pieces(), beside, u, none, none, distances[None], frames, places)
+    # the curvature jumps at the path's end
+    np.testing.assert_allclose(frames[0], path.frames(start + distances), atol=2e-4)
+    np.testing.assert_allclose(frames[0, :7], path.frames(start + distances[:7]), atol=1e-6)
+    expected = path.at(start + distances)
+    np.testing.assert_allclose(places[0] - places[0, 0], expected - expected[0], atol=1e-4)
 
 
 def test_homographies_equal_projected_points():

@@ -19,7 +19,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from paceline.arrays import Array
@@ -386,7 +385,7 @@ class PhotometricFit:
         P, Q, K = len(self.prior.free), len(self.rig_offset), len(self.depth_offsets)
         shared = np.diag([*np.zeros(P), *np.full(Q, rig_information), GAMMA_PRIOR[1] ** -2])
         shared[:P, :P] = self.prior.information
-        return np.asarray(block_diag(shared, *[DEPTH_OFFSET_INFORMATION] * K))
+        return robust_covariance.arrow_matrix(shared, 0.0, np.tile(DEPTH_OFFSET_INFORMATION, (K, 1, 1)))
 
     @cached_property
     def covariance(self) -> Array:

@@ -7,7 +7,7 @@ Normal equations come in *cells*, one for each patch of each view: matrices (vie
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import eigh
 
 from paceline.arrays import Array
 
@@ -18,8 +18,20 @@ MIN_INFORMATION_LEFT = 0.05  # share of the information that is assumed outside 
 def assemble(cells_A: Array, P: int) -> Array:
     """The normal matrix (P + K S, P + K S) of all cells, over ``P`` shared parameters and the depth offsets."""
     by_patch = cells_A.sum(0)
-    of_offsets = by_patch[:, P:, :P].reshape(-1, P)
-    return np.block([[by_patch[:, :P, :P].sum(0), of_offsets.T], [of_offsets, block_diag(*by_patch[:, P:, P:])]])
+    return arrow_matrix(by_patch[:, :P, :P].sum(0), by_patch[:, P:, :P], by_patch[:, P:, P:])
+
+
+def arrow_matrix(shared: Array, border: Array | float, blocks: Array) -> Array:
+    """The symmetric matrix (P + K S, P + K S) of ``shared`` (P, P), K ``blocks`` (K, S, S) on the diagonal after it,
+    and their ``border`` (K, S, P) with it."""
+    P, (K, S) = len(shared), blocks.shape[:2]
+    diagonal = np.zeros((K, S, K, S))
+    diagonal[np.arange(K), :, np.arange(K)] = blocks
+    A = np.empty((P + K * S,) * 2)
+    A[:P, :P], A[P:, P:] = shared, diagonal.reshape(K * S, K * S)
+    A[P:, :P] = np.broadcast_to(border, (K, S, P)).reshape(K * S, P)
+    A[:P, P:] = A[P:, :P].T
+    return A
 
 
 def assemble_scores(cells: Array, P: int) -> Array:
@@ -36,30 +48,33 @@ def covariance(A: Array, prior: Array, cells_A: Array, cells: Array, gradient: A
     correction of Bell and McCaffrey 2002 ("CR2"); returned is the one with the larger variance of the linear function
     ``gradient`` (P,). Raises numpy.linalg.LinAlgError where the parameters are not determined.
     """
-    views, K, _ = cells.shape
+    views, K, n = cells.shape
     P = len(gradient)
     inverse = np.linalg.inv(A)
-    frames = [np.s_[v : v + 2] for v in range(0, views, 2)]
-    by_frame = [(assemble(cells_A[f], P), assemble_scores(cells[f], P)) for f in frames]
-    only = np.eye(K)[:, :, None, None]
-    by_patch = [(assemble(cells_A * only[k], P), assemble_scores(cells * only[k, :, 0], P)) for k in range(K)]
-    candidates = []
-    for clusters in (by_frame, by_patch):
-        score_covariance = sum((np.outer(s, s) for s in _corrected_scores(A, clusters)), prior)
-        candidates.append((inverse @ score_covariance @ inverse)[:P, :P])
+    candidates, of_prior = [], (inverse @ prior @ inverse)[:P, :P]
+    by_frame = []
+    for v in range(0, views, 2):
+        s = _corrected_score(A, assemble(cells_A[v : v + 2], P), assemble_scores(cells[v : v + 2], P))
+        by_frame.append(inverse[:P] @ s)
+    by_patch = []
+    for k in range(K):
+        own = np.r_[:P, P + k * (n - P) : P + (k + 1) * (n - P)]
+        marginal = np.linalg.inv(inverse[np.ix_(own, own)])
+        by_patch.append(inverse[:P, own] @ _corrected_score(marginal, cells_A[:, k].sum(0), cells[:, k].sum(0)))
+    for changes in (np.array(by_frame), np.array(by_patch)):
+        candidates.append(of_prior + changes.T @ changes)
     return max(candidates, key=lambda C: float(gradient @ C @ gradient))
 
 
-def _corrected_scores(A: Array, clusters: list[tuple[Array, Array]]) -> list[Array]:
-    """CR2-corrected scores of clusters: L (I − B)^−½ L⁻¹ s with B = L⁻¹ Aᵢ L⁻ᵀ and A = L Lᵀ."""
-    L = np.linalg.cholesky(A)
-    back = np.linalg.inv(L)
-    scores = []
-    for A_i, s in clusters:
-        share, axes = np.linalg.eigh(back @ A_i @ back.T)
-        enlarged = axes / np.sqrt(np.maximum(1.0 - share, MIN_INFORMATION_LEFT)) @ axes.T
-        scores.append(L @ enlarged @ back @ s)
-    return scores
+def _corrected_score(A: Array, A_i: Array, s: Array) -> Array:
+    """CR2-corrected score (r,) of a cluster: L (I − B)^−½ L⁻¹ s with B = L⁻¹ Aᵢ L⁻ᵀ and A = L Lᵀ.
+
+    ``A`` (r, r) is the normal matrix of the cluster's parameters with all others eliminated, ``A_i`` (r, r) the
+    cluster's part of it, and ``s`` (r,) its score.
+    """
+    share, V = eigh(A_i, A)
+    enlarged = 1.0 / np.sqrt(np.maximum(1.0 - share, MIN_INFORMATION_LEFT))
+    return np.asarray(s + A @ V @ ((enlarged - 1.0) * (V.T @ s)))
 
 
 def mean_of_estimates(values: Array, variances: Array) -> tuple[Array, float]:

@@ -7,20 +7,21 @@ at every frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PPoly
+from scipy.interpolate import CubicSpline
 
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.speed.configuration import DEFAULTS, DriverSettings
 from paceline.speed.geometry.fitted_arc import CURVATURE_STD_PER_M
 from paceline.speed.geometry.initial_plane import InitialPlane
-from paceline.speed.geometry.paths import Path, level_frames, rolled, rotation_minimising_roll
+from paceline.speed.geometry.paths import Path
 from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
 from paceline.speed.refinement.path_deviation import PathDeviation, gaussian_process_modes
+from paceline.speed.refinement.trajectory_cpu import own_path_frames
 
 MOTION_PARAMETER_NAMES = (
     "log_depth",  # ln m, of the region's centre at the first frame
@@ -35,6 +36,7 @@ MOTION_TERMS = ("acceleration", "varying_acceleration", "lane_change", "curvatur
 EXPOSURE_QUANTITIES = ("offset", "left readout", "right readout")
 DIFFERENCE_STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-6])
 AMPLITUDE_STEP = 1e-3
+KNOTS = 97  # along a vehicle's own path, between which it is interpolated
 
 CONSTANT_SPEED_STD_MPS2 = 0.01  # m/s², of the acceleration at a speed that is kept constant, as by cruise control
 LOG_DEPTH_STD = 0.3
@@ -131,8 +133,8 @@ class Trajectory:
     @cached_property
     def _acceleration_process(self) -> CubicSpline:
         """Modes of the varying acceleration (m/s²) over time."""
-        t = np.linspace(self.frame_times.min() - 0.1, self.frame_times.max() + 0.1, 81)
-        return CubicSpline(t, gaussian_process_modes(t, self.driver.braking, self.driver.braking_time).T)
+        first, last = float(self.frame_times.min()), float(self.frame_times.max())
+        return _acceleration_modes(first, last, self.driver.braking, self.driver.braking_time)
 
     @property
     def _acceleration_count(self) -> int:
@@ -210,30 +212,20 @@ class Trajectory:
         parameters = theta.reshape(-1, theta.shape[-1])
         shape = theta.shape[:-1]
         start = self._ray * np.exp(parameters[:, :1])
-        depths, inverse = np.unique(parameters[:, 0], return_inverse=True)
-        s0 = np.array([self.path.nearest(self._ray * np.exp(depth)) for depth in depths])[inverse]
         travelled = np.tensordot(parameters, self._distance_jacobian, (1, 2))
-        u = np.linspace(min(travelled.min(), 0.0) - 1.0, max(travelled.max(), 0.0) + 1.0, 97)
+        distances = np.concatenate([np.zeros((len(parameters), 1)), travelled.reshape(len(parameters), -1)], axis=1)
+        u = np.linspace(distances.min() - 1.0, distances.max() + 1.0, KNOTS)
         yaw, pitch = self.deviation.angles(
             parameters[:, len(MOTION_PARAMETER_NAMES) :][:, : len(self.deviation.modes)], u
         )
-        yaw = yaw + parameters[:, PARAMETER_INDEX["curvature"], None] * u
-        F = self.path.frames(s0[:, None] + u)
-        T = F[..., 0] + yaw[..., None] * F[..., 1] + pitch[..., None] * F[..., 2]
-        tangent = CubicSpline(u, T / np.linalg.norm(T, axis=-1, keepdims=True), axis=1)
-        place = tangent.antiderivative()
-        roll = rotation_minimising_roll(level_frames(T))
-        first = np.zeros((len(parameters), 1))
-        start_frame = rolled(level_frames(_evaluate_each(tangent, first)), _interpolate_each(u, roll, first))[:, 0]
-        frames = rolled(level_frames(_evaluate_each(tangent, travelled)), _interpolate_each(u, roll, travelled))
-        R = frames @ np.swapaxes(start_frame, -1, -2)[:, None, None]
+        yaw = np.ascontiguousarray(yaw + parameters[:, PARAMETER_INDEX["curvature"], None] * u)
+        frames, places = np.empty((*distances.shape, 3, 3)), np.empty((*distances.shape, 3))
+        own_path_frames(*self.path.pieces(), start, u, yaw, np.ascontiguousarray(pitch), distances, frames, places)
+        start_frame = frames[:, 0]
+        R = (frames[:, 1:] @ np.swapaxes(start_frame, -1, -2)[:, None]).reshape(*travelled.shape, 3, 3)
+        moved = (places[:, 1:] - places[:, :1]).reshape(*travelled.shape, 3)
         origin = start[:, None, None]
-        t = (
-            origin
-            + _evaluate_each(place, travelled)
-            - _evaluate_each(place, first)[:, None]
-            - (R @ origin[..., None])[..., 0]
-        )
+        t = origin + moved - (R @ origin[..., None])[..., 0]
         yaw, tilt = (parameters[:, PARAMETER_INDEX[name]] for name in ("normal_yaw", "normal_tilt"))
         n = (start_frame @ rotate_normal(self._normal_in_path_frame, yaw, tilt)[..., None])[..., 0]
         d = (n * start).sum(-1)
@@ -279,26 +271,12 @@ class Trajectory:
         return np.asarray(R[:, 0] @ (self._ray * np.exp(theta[0])) + t[:, 0])
 
 
-def _evaluate_each(spline: PPoly, x: Array) -> Array:
-    """Values (N, …, 3) of N curves in one ``spline``, each at its own ``x`` (N, …)."""
-    piece, curve = _intervals(spline.x, x)
-    from_knot, value = (x - spline.x[piece])[..., None], np.zeros(())
-    for coefficient in spline.c:
-        value = value * from_knot + coefficient[piece, curve]
-    return np.asarray(value)
-
-
-def _interpolate_each(u: Array, values: Array, x: Array) -> Array:
-    """Linear interpolation (N, …) of N rows of ``values`` (N, M) over ``u`` (M,), each at its own ``x`` (N, …)."""
-    piece, row = _intervals(u, x)
-    share = (x - u[piece]) / (u[piece + 1] - u[piece])
-    return np.asarray((1.0 - share) * values[row, piece] + share * values[row, piece + 1])
-
-
-def _intervals(u: Array, x: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The interval of knots ``u`` that holds each of ``x`` (N, …), and its index among the N."""
-    piece = np.clip(np.searchsorted(u, x, "right") - 1, 0, len(u) - 2)
-    return piece, np.arange(len(x)).reshape(-1, *(1,) * (x.ndim - 1))
+@lru_cache(maxsize=16)
+def _acceleration_modes(first: float, last: float, sigma: float, scale: float) -> CubicSpline:
+    """Modes of an acceleration (m/s²) between two times: a Gaussian process of ``sigma`` m/s², correlated over
+    ``scale`` s."""
+    t = np.linspace(first - 0.1, last + 0.1, 81)
+    return CubicSpline(t, gaussian_process_modes(t, sigma, scale).T)
 
 
 def rotate_normal(normal: Array, yaw: Array | float, tilt: Array | float) -> Array:
