@@ -70,5 +70,6 @@ $(VENV)/installed-for-tests: requirements-dev.txt $(VENV)/installed
 
 $(VENV)/compiled: $(VENV)/installed
 	@rm -rf $@; mkdir $@
-	@$(BIN)/paceline follow examples/chase -o $@/follow --quiet & \
+	@{ $(BIN)/paceline follow examples/chase -o $@/follow --quiet; \
+		$(BIN)/paceline vehicles examples/straight --quiet; } & \
 		$(BIN)/paceline speed examples/straight -o $@/speed --quiet; wait

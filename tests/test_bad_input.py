@@ -505,7 +505,7 @@ def test_an_interrupt_inside_an_exec_ends_with_its_status(tmp_path: Path) -> Non
     assert (done.returncode, done.stderr) == (130, "paceline: interrupted\n")
 
 
-@pytest.mark.parametrize(("number", "moment"), [(signal.SIGINT, 1.0), (signal.SIGTERM, 0.0)])
+@pytest.mark.parametrize(("number", "moment"), slow_after(1, [(signal.SIGINT, 1.0), (signal.SIGTERM, 0.0)]))
 def test_an_interrupt_leaves_all_or_nothing(original: Path, tmp_path: Path, number: int, moment: float) -> None:
     """At any moment after the work has begun; what stands in the folder is whole if it is there."""
     out = tmp_path / "work" / "out"

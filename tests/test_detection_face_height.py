@@ -28,7 +28,7 @@ def test_untextured_top_of_a_face_is_cut_off(height: float, seed: int) -> None:
     assert BOTTOM + (height - BOTTOM) * 2 / 3 - HEIGHT_STEP_M < lower.y[1] < height + HEIGHT_STEP_M + RIM
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", slow_after(1, [1, 2, 3]))
 def test_most_of_a_textured_face_is_kept(seed: int) -> None:
     face = face_with(texture_up_to(PLANE_GRID.top, seed), seed)
     assert select_height(face, face.aligned, clear).y[1] > BOTTOM + (TOP - BOTTOM) * 2 / 3 - HEIGHT_STEP_M

@@ -86,7 +86,7 @@ def lamps_seen(true: Array, ahead: float) -> DetectionTrack:
 
 
 @pytest.mark.parametrize("start", [10.0, 25.0])
-@pytest.mark.parametrize("ahead", [-2.5, -2.0, 2.0, 2.5])
+@pytest.mark.parametrize("ahead", slow_after(2, [-2.5, 2.0, -2.0, 2.5]))
 def test_face_at_night_is_located_at_its_lamps_and_not_at_their_light(start: float, ahead: float) -> None:
     true = start + 2.5 * np.arange(6)
     face = find_face(with_visible_face(lamps_seen(true, ahead)))

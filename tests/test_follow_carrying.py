@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from moved_scenery import REACH, TARGET, camera, moved, scenery
+from selection import slow_after
 
 from paceline.follow.carrying import FARTHEST, MANY, STEP, UPRIGHT, Carried, correlated
 from paceline.follow.carrying_cpu import sampled
@@ -11,7 +12,7 @@ from paceline.follow.features import Projection
 from paceline.targets.line_model import Target
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", slow_after(2, range(4)))
 @pytest.mark.parametrize("evened", [False, True])
 @pytest.mark.parametrize(
     ("size", "focal", "scale", "reach"),

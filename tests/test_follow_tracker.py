@@ -478,7 +478,7 @@ def test_a_learned_width_is_no_truer_for_a_target_that_is_tall():
     assert estimate.position_std[2] == pytest.approx(np.hypot(0.04 * z / 1.6, 0.015 * z), rel=0.05)
 
 
-@pytest.mark.parametrize("greys", [(220, 50), (50, 220)])
+@pytest.mark.parametrize("greys", slow_after(1, [((220, 50),), ((50, 220),)]))
 def test_a_target_whose_lamps_are_switched_is_followed(greys, monkeypatch):
     lamps = [(-0.9, -0.3, -0.6, 0.0), (0.6, -0.3, 0.9, 0.0)]
     body = [((-1, -0.6, 1, 0.6), 160), ((-1, 0.3, 1, 0.6), 80), ((-0.4, -0.2, 0.4, 0.1), 190)]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from selection import slow_after
 
 from paceline.errors import UnusableInput
 from paceline.simulation.raytraced import mesh_builders
@@ -33,7 +34,9 @@ def bodies() -> dict[tuple[str, int], Body]:
     return {(kind, seed): build(kind, seed) for kind in RAYTRACED_KINDS for seed in SEEDS}
 
 
-EACH = pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind in RAYTRACED_KINDS for seed in SEEDS])
+EACH = pytest.mark.parametrize(
+    ("kind", "seed"), slow_after(len(RAYTRACED_KINDS), [(kind, seed) for seed in SEEDS for kind in RAYTRACED_KINDS])
+)
 
 
 def all_solids(body: Body) -> list[SceneMesh]:

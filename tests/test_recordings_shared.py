@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from selection import slow_after
 
 from paceline.speed.measurement import measure_clip
 
@@ -22,7 +23,7 @@ def recording(name: str) -> Path:
     return clip
 
 
-@pytest.mark.parametrize("name", ["straight", "curve"])
+@pytest.mark.parametrize("name", slow_after(1, ["curve", "straight"]))
 def test_a_physically_rendered_clip(name: str) -> None:
     clip = recording(f"rendered/{name}")
     (m,) = measure_clip(clip).measurements
