@@ -332,6 +332,8 @@ CLOCK: dict[str, Case] = {
     "too few": (lambda c: times(c, *clock(0, 0.2)), ["times.csv", "2 rows", "5 left"]),
     "no times": (lambda c: times(c, *clock(0, 0.2, 0.4, 0.6), "4,soon,0.8"), ["times.csv", "frame 4", "three numbers"]),
     "infinite": (lambda c: times(c, *clock(0, 0.2, 0.4, 0.6, np.inf)), ["times.csv", "frame 4", "finite"]),
+    "milliseconds": (lambda c: times(c, *clock(0, 200, 400, 600, 800)), ["times.csv", "200 apart", "milliseconds?"]),
+    "nanoseconds": (lambda c: times(c, *clock(*(1.7e18 + 2e8 * np.arange(5)))), ["times.csv", "are these nanosec"]),
     "another header": (lambda c: times(c, header="f,l,r"), ["times.csv", "'frame,left_s,right_s'"]),
     "unknown key": (lambda c: c.set("clip.yaml", "vehicels", []), ["'vehicels'", "did you mean 'vehicles'?"]),
     "a missing key": (lambda c: c.set("clip.yaml", "right", None), ["clip.yaml", "right", "missing"]),

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from paceline.cameras import Quantity
 from paceline.documents.loading import load_camera, load_clip, load_rig
 from paceline.documents.plausibility import check_quadrilateral
+from paceline.documents.yaml_loading import load_yaml
 from paceline.errors import UnusableInput
 
 K = [[1000.0, 0.0, 319.5], [0.0, 1000.0, 239.5], [0.0, 0.0, 1.0]]
@@ -216,6 +217,8 @@ def test_a_vertical_rig_is_allowed():
         ("rotation.0.0", -1.0, "rig.yaml: rotation: is a reflection, its determinant is -1; expected a rotation"),
         ("translation", [0, 0, 0], "rig.yaml: translation: both cameras stand in the same place; "
                                    "expected a distance in metres"),
+        ("translation", [-0.005, 0, 0], "rig.yaml: translation: the cameras stand 0.005 m apart; expected metres, at "
+                                        "least 0.01"),
         ("translation", [-500, 0, 0], "rig.yaml: translation: the cameras stand 500 m apart; expected metres "
                                       "(are these millimetres?)"),
         ("translation", [0.5, 0, 0], "rig.yaml: translation: the right camera lies to the left of the left one; "
@@ -354,6 +357,30 @@ def test_two_vehicles_of_one_id():
 def test_yaml_that_cannot_be(text, message):
     Path("clip.yaml").write_text(text)
     assert refusal(load_clip, "clip.yaml").startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("0012", 12),
+        ("010", 10),
+        ("-07", -7),
+        ("+3", 3),
+        ("08.50", 8.5),
+        (".5", 0.5),
+        ("1e-3", 1e-3),
+        ("-.inf", -np.inf),
+    ],
+)
+def test_numbers_are_decimal(text, number):
+    assert load_yaml(f"rate: {text}") == {"rate": number}
+
+
+@pytest.mark.parametrize("text", ["1_0", "1:30", "190:20:30.15", "1_0.5", "0x10", "0b1", "1.2.3"])
+def test_what_is_no_decimal_number_is_refused(text):
+    file = write({**CLIP, "rate": "RATE"})
+    Path(file).write_text(Path(file).read_text().replace("RATE", text))
+    assert refusal(load_clip, file) == f"clip.yaml: rate: expected a number, found {text!r}"
 
 
 def test_files_that_cannot_be_read():

@@ -24,6 +24,7 @@ from paceline.arrays import Array
 from paceline.cameras import Camera, StereoRig
 from paceline.documents import plausibility
 from paceline.documents.assumed_calibration import with_assumed_uncertainty
+from paceline.documents.yaml_loading import load_yaml
 from paceline.errors import UnusableInput
 
 Size = tuple[int, int]
@@ -267,7 +268,7 @@ def _text(file: Path) -> str:
 
 def _yaml(file: Path, text: str) -> dict[str, Any]:
     try:
-        document = yaml.safe_load(text)
+        document = load_yaml(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UnusableInput(f"{file}: is not valid YAML; expected {EXPECTED_FILES}") from error
     if not isinstance(document, dict):

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import yaml
-
 from paceline.cameras import StereoRig
 from paceline.detection.finder import DetectedVehicle
 from paceline.documents.yaml_editing import format_pixels, format_text, insert_below, parse_edited
+from paceline.documents.yaml_loading import load_yaml
 from paceline.errors import UnusableInput
 
 
@@ -15,11 +14,11 @@ def with_vehicles(text: str, file: str, rig: StereoRig, detected: list[DetectedV
 
     Raises UnusableInput where it outlines vehicles already, or is written in a way that cannot be added to.
     """
-    before = yaml.safe_load(text)
+    before = load_yaml(text)
     if before.get("vehicles"):
         raise UnusableInput(f"{file}: vehicles: some are outlined already; expected none, to be found without a person")
     added = insert_below(text, "vehicles", lambda indent: _entries(rig, detected, indent))
-    new = yaml.safe_load("\n".join(_entries(rig, detected, 0))) or None
+    new = load_yaml("\n".join(_entries(rig, detected, 0))) or None
     after = parse_edited(added)
     if after | {"vehicles": after.get("vehicles")} != before | {"vehicles": new}:
         raise UnusableInput(f"{file}: vehicles: is written in a way that cannot be added to; expected no such key")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -24,11 +23,11 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 
 from paceline.arrays import Array
+from paceline.documents.yaml_loading import load_yaml
 from paceline.errors import UnusableInput
 
 MAX_DOCUMENT_NAME_LENGTH = 100
 MAX_NUMBER = 1e9  # upper limit of every pixel and metre in these files; excludes NaN and infinity as well
-MAX_DOCUMENT_VALUES = 1_000_000  # values in one document; more is a mistake or an attack on the memory
 MAX_READOUT_S = 0.1  # greatest time from the first row's exposure to the last one's; ordinary cameras take up to 0.03
 RIG_PARAMETERS = 14  # fx, fy, cx, cy of each camera, rotation, translation
 _NUMBER_WORDS = {2: "two", 3: "three", 4: "four"}
@@ -281,42 +280,6 @@ class FollowModel(Document):
 # --- reading -------------------------------------------------------------------------------------------------------
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses a key given twice and reads 1e-3 as a number, as YAML 1.2 does."""
-
-    def get_single_node(self) -> yaml.Node | None:
-        node: yaml.Node | None = super().get_single_node()
-        if node is not None and _values(node, {}) > MAX_DOCUMENT_VALUES:
-            problem = f"holds more than {MAX_DOCUMENT_VALUES} values, those repeated by * included"
-            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
-        return node
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        known_keys = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in known_keys:
-                problem = f"the key {key.value!r} occurs twice"
-                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-            known_keys.add(key.value if isinstance(key, yaml.ScalarNode) else key)
-        return super().construct_mapping(node, deep)
-
-
-def _values(node: yaml.Node, known: dict[int, int]) -> int:
-    """How many values ``node`` holds, one that an alias repeats counted each time."""
-    if isinstance(node, yaml.ScalarNode):
-        return 1
-    if id(node) not in known:
-        known[id(node)] = 1  # while it is counted: it may hold itself
-        inner = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
-        known[id(node)] = 1 + sum(_values(part, known) for part in inner)
-    return known[id(node)]
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-)
-
-
 M = TypeVar("M", bound=KnownKeys)
 
 
@@ -324,7 +287,7 @@ def read_document(model: type[M], path: Path) -> M:
     """The file at ``path`` as a ``model``; raises UnusableInput naming the line or key for anything it cannot be."""
     try:
         with path.open(encoding="utf-8") as file:
-            content = yaml.load(file, _Loader)
+            content = load_yaml(file)
     except FileNotFoundError:
         raise UnusableInput(f"{path}: no such file") from None
     except OSError as error:

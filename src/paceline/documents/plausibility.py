@@ -11,7 +11,7 @@ from paceline.cameras import Camera, StereoRig
 from paceline.geometry import epipolar_distance, triangulate
 
 MAX_ORTHONORMALITY_ERROR = 1e-3  # greatest entry of RᵀR − I that rounding in a file explains
-MAX_BASELINE_M = 100.0
+MIN_BASELINE_M, MAX_BASELINE_M = 0.01, 100.0
 MIN_AREA_PX2, MIN_SIDE_PX = 64.0, 4.0  # least area and side of an outline: a smaller one has no texture to track
 MIN_DRAWING_PX = 2.0
 MAX_SEGMENT_OBLIQUENESS = 0.01  # offset across a segment's direction over its length, as rounding explains
@@ -55,6 +55,8 @@ def nearest_rotation(R: Array) -> Array:
 def check_baseline(rig: StereoRig) -> str | None:
     if rig.baseline == 0:
         return "both cameras stand in the same place; expected a distance in metres"
+    if rig.baseline < MIN_BASELINE_M:
+        return f"the cameras stand {rig.baseline:g} m apart; expected metres, at least {MIN_BASELINE_M:g}"
     if rig.baseline > MAX_BASELINE_M:
         return f"the cameras stand {rig.baseline:g} m apart; expected metres (are these millimetres?)"
     centre = -rig.t @ rig.R  # of the right camera, in the left one's axes

@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from paceline.arrays import Array
+from paceline.documents.yaml_loading import load_yaml
 from paceline.errors import UnusableInput
 
 Plain = dict[str, Any]
@@ -39,7 +40,7 @@ def insert_below(text: str, name: str, entries: Callable[[int], list[str]]) -> s
 def parse_edited(text: str) -> dict[str, Any]:
     """What ``text`` holds after something was added to it; empty where it is no YAML any more."""
     try:
-        document: dict[str, Any] = yaml.safe_load(text)
+        document: dict[str, Any] = load_yaml(text)
     except yaml.YAMLError:
         return {}
     return document
@@ -78,7 +79,7 @@ def set_values(text: str, file: str, values: Plain) -> str:
     for key, value in values.items():
         new = _set_value(new, key, value)
     try:
-        before, after = yaml.safe_load(text), yaml.safe_load(new)
+        before, after = load_yaml(text), load_yaml(new)
         unchanged = {**before, **values} == after
     except (yaml.YAMLError, TypeError):
         unchanged = False

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import yaml
-
 from paceline.documents.yaml_editing import format_pixels, format_text, insert_below, parse_edited
+from paceline.documents.yaml_loading import load_yaml
 from paceline.errors import UnusableInput
 from paceline.lanes.lane_proposals import Lane
 from paceline.units import COVERAGE_95
@@ -35,7 +34,7 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
     Raises UnusableInput where its paths are written in a way that cannot be added to.
     """
     added = insert_below(text, "paths", lambda indent: _entries(lanes, indent))
-    before, new = yaml.safe_load(text), yaml.safe_load("\n".join(_entries(lanes, 0))) or {}
+    before, new = load_yaml(text), load_yaml("\n".join(_entries(lanes, 0))) or {}
     expected = before | {"paths": (before.get("paths") or {}) | new}
     after = parse_edited(added)
     if after | {"paths": after.get("paths") or {}} != expected:

@@ -22,6 +22,8 @@ from paceline.verdicts import Message, message
 
 MIN_REPORTED_SKEW_S = 1.1e-3  # skew above that of rounding both views to whole milliseconds
 MAX_LISTED_FRAMES = 8  # frames listed in a notice
+MAX_INTERVAL_S = 10.0  # between two frames, as for a `rate`
+TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +315,13 @@ def read_times(path: Path, left: int, right: int) -> tuple[Array, Array]:
             raise UnusableInput(f"{path}: frame {row[0]} stands where frame {i} is expected")
         if i and (values[i, 1:] <= values[i - 1, 1:]).any():
             raise UnusableInput(f"{path}: frame {i}: the times do not increase")
+    interval = float(np.median(np.diff(values[:, 1]))) if len(values) > 1 else 0.0
+    if interval > MAX_INTERVAL_S:
+        unit = next((name for name, size in TIME_UNITS.items() if interval * size <= MAX_INTERVAL_S), "another unit")
+        raise UnusableInput(
+            f"{path}: two frames are {interval:g} apart; expected seconds, {MAX_INTERVAL_S:g} at the most "
+            f"(are these {unit}?)"
+        )
     return values[:, 1].copy(), values[:, 2].copy()
 
 

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from paceline.documents.loading import load_clip
 from paceline.documents.models import ClipModel, PathModel, SiteModel, VehicleModel, read_document
 from paceline.documents.yaml_editing import format_flow
+from paceline.documents.yaml_loading import load_yaml
 from paceline.errors import UnusableInput
 
 Entry = dict[str, Any]
@@ -98,8 +99,8 @@ def with_clip_setup(text: str, file: str, paths: Mapping[str, Entry], vehicles: 
     try:
         new = _with_section(text, "paths", list(paths.items()))
         new = _with_section(new, "vehicles", [(vehicle["id"], vehicle) for vehicle in vehicles])
-        before, after = ({**yaml.safe_load(t), "paths": None, "vehicles": None} for t in (text, new))
-        unchanged = before == after and _plain_setup(ClipModel.model_validate(yaml.safe_load(new))) == (
+        before, after = ({**load_yaml(t), "paths": None, "vehicles": None} for t in (text, new))
+        unchanged = before == after and _plain_setup(ClipModel.model_validate(load_yaml(new))) == (
             dict(paths),
             vehicles,
         )
@@ -176,7 +177,7 @@ def _with_section(text: str, section: str, entries: list[tuple[str, Entry]]) -> 
 
 
 def _existing_entries(section: str, text: str) -> list[tuple[str, Entry]]:
-    paths, vehicles = _plain_setup(ClipModel.model_validate(yaml.safe_load(text)))
+    paths, vehicles = _plain_setup(ClipModel.model_validate(load_yaml(text)))
     return list(paths.items()) if section == "paths" else [(vehicle["id"], vehicle) for vehicle in vehicles]
 
 
