@@ -46,6 +46,15 @@ def rig() -> StereoRig:
 
 
 @pytest.fixture
+def signals_as_before() -> Iterator[None]:
+    """Ctrl-C and termination are answered after the test as before it."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
 def unrendered_plots(monkeypatch: pytest.MonkeyPatch) -> None:
     """Plots are drawn on their figures, but the files have no content: rendering takes half a measurement's time."""
 

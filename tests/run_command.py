@@ -29,7 +29,7 @@ class Done(NamedTuple):
 
 def paceline(*arguments: object, folder: Path | None = None) -> Done:
     """`paceline ARGUMENTS` in this process, called from ``folder``."""
-    before = signal.getsignal(signal.SIGTERM)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with _captured("stdout", 1) as out, _captured("stderr", 2) as err:
         try:
             with (
@@ -41,7 +41,8 @@ def paceline(*arguments: object, folder: Path | None = None) -> Done:
         except SystemExit as exit:
             return Done(int(exit.code or 0), _text(out), _text(err))
         finally:
-            signal.signal(signal.SIGTERM, before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
     raise AssertionError("the command returned where it should have exited")
 
 

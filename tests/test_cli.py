@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -109,24 +110,65 @@ def _pair() -> tuple[NDArray[np.float64], float]:
     return np.ones(2), 1.0
 
 
-@pytest.mark.parametrize(("end", "status"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
+@pytest.mark.usefixtures("signals_as_before")
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_while_compiled_code_calls_python(
-    end: BaseException, status: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    number: int, status: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Numba asks Python for the type of an array in a tuple that it returns; what is raised there is a SystemError."""
 
     def ended(data: bytes) -> None:
-        raise end
+        signal.raise_signal(number)
 
     _pair()
     monkeypatch.setattr(serialize, "_unpickled_memo", {})
     monkeypatch.setattr(serialize.cloudpickle, "loads", ended)
     monkeypatch.setattr(cli, "app", lambda **options: _pair())
-    monkeypatch.setattr(signal, "signal", lambda number, handler: None)
     with pytest.raises(SystemExit) as exit:
         cli.main()
     assert exit.value.code == status
     assert capfd.readouterr().err == ("paceline: interrupted\n" if status == 130 else "")
+
+
+@pytest.mark.usefixtures("signals_as_before")
+def test_an_error_that_an_interrupt_became_is_an_interrupt(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of compiled code that builds models and asks nobody what was raised within."""
+
+    def building(**options: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ValueError("no schema") from None
+
+    monkeypatch.setattr(cli, "app", building)
+    with pytest.raises(SystemExit) as exit:
+        cli.main()
+    assert (exit.value.code, capsys.readouterr().err) == (130, "paceline: interrupted\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_work_does_nothing(tmp_path: Path, number: int) -> None:
+    program = f"import atexit, signal\nfrom paceline import cli\natexit.register(signal.raise_signal, {number})\n"
+    command = [sys.executable, "-c", program + "cli.app = lambda **_: 0\ncli.main()"]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_standard_output_that_cannot_be_written_is_one_line() -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([*COMMAND, "--version"], env=ENVIRONMENT, stdout=full, stderr=subprocess.PIPE, timeout=60)
+    assert done.returncode == 0
+    assert done.stderr == b"paceline: standard output cannot be written (No space left on device)\n"
+
+
+def test_a_reader_that_has_gone_is_no_problem() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run([*COMMAND, "--version"], env=ENVIRONMENT, stdout=write, stderr=subprocess.PIPE, timeout=60)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_another_system_error_is_no_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,12 +73,13 @@ def command(whole_command: Command, unrendered_plots: None) -> Command:
 
 
 @pytest.fixture
-def whole_command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Command:
+def whole_command(
+    signals_as_before: None, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> Command:
     """The same with plots."""
 
     def run(clip: Path, *options: str, out: Path = tmp_path / "out") -> Answer:
         monkeypatch.setattr(sys, "argv", ["paceline", "speed", str(clip), "-o", str(out), *options])
-        monkeypatch.setattr(cli.signal, "signal", lambda *_: None)
         capfd.readouterr()
         with pytest.raises(SystemExit) as exit:
             cli.main()

@@ -177,3 +177,22 @@ def test_a_function_that_closes_over_something_is_refused() -> None:
 
     with pytest.raises(AssertionError, match=r"inside: expected a function of a module's top level"):
         with_source_digest(inside)
+
+
+UNCACHED_PROGRAM = """
+import numba.core.caching
+numba.core.caching.CacheImpl._locator_classes = []  # none of its folders can be written
+import numpy, warnings
+from paceline.speed.geometry.quadrilaterals_cpu import unit_square_to
+from paceline.speed.refinement import trajectory_cpu
+print((unit_square_to(numpy.array([[[0.0, 0], [2, 0], [2, 2], [0, 2]]])) + 0.0).tolist())
+"""
+
+
+def test_without_a_folder_for_the_cache_all_is_compiled_anew() -> None:
+    """As where the package may only be read and the user has no home. It is said once."""
+    command = [sys.executable, "-c", UNCACHED_PROGRAM]
+    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(SOURCE.parent)}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "[[[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]]\n"
+    assert done.stderr.count("compiled code cannot be kept") == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import errno
+import fcntl
 import json
 import os
 import re
@@ -380,6 +381,24 @@ def test_output_folder_leaves_nothing_behind(tmp_path: Path, error: BaseExceptio
         (folder / "file").write_text("x")
         raise error
     assert os.listdir(tmp_path) == []
+
+
+def test_output_folder_removes_what_a_killed_process_left(tmp_path: Path) -> None:
+    """Nobody locks it; that of a process at work is locked, and one that has just begun may not be locked yet."""
+    killed, at_work, begun = (tmp_path / f".out.{name}.partial" for name in ("killed", "at_work", "begun"))
+    for folder in (killed, at_work, begun, tmp_path / ".other.killed.partial"):
+        folder.mkdir()
+        (folder / "report.html").write_text("x")
+        if folder != begun:
+            os.utime(folder, (0, 0))
+    lock = os.open(at_work, os.O_RDONLY)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    with OutputFolder(tmp_path / "out") as new, OutputFolder(tmp_path / "out"):
+        os.utime(new, (0, 0))
+        with OutputFolder(tmp_path / "out"):
+            assert new.is_dir()
+    os.close(lock)
+    assert not killed.exists() and at_work.is_dir() and begun.is_dir() and (tmp_path / ".other.killed.partial").is_dir()
 
 
 def test_output_folder_replaces_only_its_own_files(tmp_path: Path) -> None:

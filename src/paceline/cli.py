@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import threading
-from types import FrameType
+import warnings
 from typing import Annotated
 
 import typer
@@ -17,6 +17,7 @@ from paceline.commands.console import console
 from paceline.commands.drive import drive
 from paceline.commands.follow import follow_vehicle
 from paceline.commands.lanes import lanes
+from paceline.commands.process import ReceivedSignals, StandardOutput
 from paceline.commands.renamed_options import accepting
 from paceline.commands.rig import rig
 from paceline.commands.simulate import simulate
@@ -49,11 +50,14 @@ app.command()(console)
 
 def main() -> None:
     """Runs the command line and exits with its status; every error is one plain line on standard error."""
-    signal.signal(signal.SIGTERM, _terminate)
+    signals = ReceivedSignals()
+    output = StandardOutput()
     sys.unraisablehook = _end_after_callback
+    warnings.formatwarning = lambda message, *_: f"paceline: {message}\n"  # one plain line
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads, for matrices this small, only stand in the way
     try:
-        status = app(prog_name="paceline", standalone_mode=False)
+        with output:
+            status = app(prog_name="paceline", standalone_mode=False)
     except UnusableInput as error:
         print(f"paceline: {error}", file=sys.stderr)
         status = EXIT_UNUSABLE_INPUT
@@ -61,27 +65,19 @@ def main() -> None:
         text = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
         print(f"paceline: {text}; see paceline --help", file=sys.stderr)
         status = EXIT_UNUSABLE_INPUT
-    except SystemError as error:
-        status = _ended_within(error)
+    except Exception:  # compiled code that calls Python raises errors of its own in place of an interrupt
+        if signals.status is None:
+            raise
+        status = signals.status
+    signals.ignore()  # what there is to write is written
     if status == EXIT_INTERRUPTED:  # how Typer answers Ctrl-C
         print("paceline: interrupted", file=sys.stderr)
         # where Ctrl-C came inside an exec of a string, as dataclasses are made by, ``python -m`` would be ended by the
         # signal itself, with another status; the next exec clears that
         exec("")
+    if output.problem is not None:
+        print(f"paceline: {output.problem}", file=sys.stderr)
     sys.exit(status)
-
-
-def _ended_within(error: SystemError) -> str | int | None:
-    """The exit status of a Ctrl-C or a termination that came while compiled code called Python, which makes a
-    SystemError of it; any other ``error`` is raised again."""
-    cause = error.__cause__
-    while cause is not None:
-        if isinstance(cause, KeyboardInterrupt):
-            return EXIT_INTERRUPTED
-        if isinstance(cause, SystemExit):
-            return cause.code
-        cause = cause.__cause__
-    raise error
 
 
 def _end_after_callback(unraisable: sys.UnraisableHookArgs) -> None:
@@ -94,11 +90,6 @@ def _end_after_callback(unraisable: sys.UnraisableHookArgs) -> None:
         again.start()
     else:
         sys.__unraisablehook__(unraisable)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    """Ends as by Ctrl-C, so that no incomplete output remains."""
-    sys.exit(128 + number)
 
 
 def _show_version(requested: bool) -> None:

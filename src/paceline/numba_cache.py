@@ -15,12 +15,17 @@ from collections.abc import Callable, Iterator
 from functools import cache, update_wrapper
 from types import CellType, FunctionType
 from typing import Any, TypeVar
+from warnings import warn
 
 from numba import njit
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 PACKAGE_NAME = __name__.split(".", maxsplit=1)[0]
+UNCACHED = (
+    "compiled code cannot be kept, as no folder for it can be written, so each run compiles anew, for half a minute; "
+    "expected one named by NUMBA_CACHE_DIR"
+)
 IMPORT_PATTERN = re.compile(rf"^(?:from|import) ({PACKAGE_NAME}[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
 
@@ -29,7 +34,15 @@ def cached_njit(**options: Any) -> Callable[[Function], Function]:
 
     def decorate(function: Function) -> Function:
         assert isinstance(function, FunctionType)
-        compiled: Function = njit(cache=True, **options)(with_source_digest(function))
+        digested = with_source_digest(function)
+        compiled: Function
+        try:
+            compiled = njit(cache=True, **options)(digested)
+        except RuntimeError as error:  # neither the package nor the user has a folder that can be written
+            if "no locator available" not in str(error):
+                raise
+            warn(UNCACHED, RuntimeWarning, stacklevel=1)
+            compiled = njit(**options)(digested)
         return compiled
 
     return decorate

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import glob
 import os
 import secrets
 import shutil
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,6 +20,7 @@ from paceline.errors import UnusableInput
 
 # Errors without a file name that only writing can have caused.
 WRITE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG}
+MIN_ABANDONED_AGE_S = 60.0  # of an incomplete output that is not locked: a process locks its own at once
 
 
 class OutputFolder:
@@ -24,7 +28,8 @@ class OutputFolder:
 
     ``with OutputFolder("out") as folder:`` gives the path of a hidden folder on the same file system to write into.
     When the block ends well, a new ``out`` appears in one step; in an ``out`` that already exists each file of the
-    same name is replaced atomically and every other file stays. When the block raises, nothing is left behind.
+    same name is replaced atomically and every other file stays. When the block raises, nothing is left behind; what a
+    process that was killed has left is removed by the next one.
     Raises UnusableInput when ``out`` is a file, cannot be written or the disk is full.
     """
 
@@ -32,6 +37,7 @@ class OutputFolder:
         self.out = Path(out)
         self._created: list[Path] = []  # folders created for the output, outermost first
         self._partial = self.out.parent / f".{self.out.name or 'paceline'}.{secrets.token_hex(4)}.partial"
+        self._lock = -1  # file descriptor of the locked hidden folder
 
     def __enter__(self) -> Path:
         try:
@@ -42,8 +48,12 @@ class OutputFolder:
             for folder in reversed([p for p in (parent, *parent.parents) if not p.exists()]):
                 folder.mkdir()
                 self._created.append(folder)
+            _remove_abandoned(parent, self.out.name or "paceline")
             self._partial = parent / self._partial.name
             self._partial.mkdir()
+            self._lock = os.open(self._partial, os.O_RDONLY)
+            with suppress(OSError):  # not every file system has locks
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BaseException as error:  # Ctrl-C, too, just after a folder was made
             self._clean_up()
             if isinstance(error, OSError):
@@ -69,6 +79,9 @@ class OutputFolder:
     def _clean_up(self) -> None:
         """Removes what has not been moved to the target."""
         shutil.rmtree(self._partial, ignore_errors=True)
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
         self._remove_created()
 
     def _replace_target(self) -> None:
@@ -99,6 +112,20 @@ class OutputFolder:
                 folder.rmdir()
             except OSError:  # it is in use
                 return
+
+
+def _remove_abandoned(parent: Path, name: str) -> None:
+    """Removes the incomplete outputs called ``name`` in ``parent`` whose processes are gone: nobody locks them."""
+    for partial in parent.glob(f".{glob.escape(name)}.*.partial"):
+        with suppress(OSError):
+            if time.time() - partial.stat().st_mtime < MIN_ABANDONED_AGE_S:
+                continue
+            folder = os.open(partial, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(partial, ignore_errors=True)
+            finally:
+                os.close(folder)
 
 
 def write_all_or_none(contents: dict[Path, bytes]) -> None:
