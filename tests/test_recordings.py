@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+import struct
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from paceline.cameras import Camera, StereoRig
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
-from paceline.recordings.image_sources import open_source
+from paceline.recordings.image_sources import open_source, read_image_file
 from paceline.recordings.stereo import open_recording, pair_by_time
 
 W, H = 64, 48
@@ -217,6 +218,18 @@ def test_twelve_bits_in_sixteen_cause_a_notice_and_are_scaled_on_request():
     source = open_source(Path("one"), bit_depth=12)
     assert source.notices == []
     np.testing.assert_allclose(next(source.read([0])), image * (255 / 4095), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])
+def test_a_picture_is_turned_as_its_exif_says(tmp_path, orientation, turns):
+    """As every program shows it, in which outlines are drawn."""
+    image = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 255, (48, 64), np.uint8), (0, 0), 3)
+    jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
+    entry = struct.pack("<HHIHH", 0x112, 3, 1, orientation, 0)  # the tag, a short, one of it
+    exif = b"Exif\0\0II*\0" + struct.pack("<IH", 8, 1) + entry + bytes(4)
+    path = tmp_path / "0000.jpg"
+    path.write_bytes(jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + jpeg[2:])
+    np.testing.assert_allclose(read_image_file(path), np.rot90(image, turns), atol=3)
 
 
 def test_values_that_do_not_fit_the_bit_depth_are_refused():

@@ -248,7 +248,8 @@ def _stated_end(container: av.container.InputContainer, stream: av.VideoStream) 
 
 
 def read_image_file(path: Path) -> StoredImage:
-    """The image as stored: (H, W) or (H, W, 3 or 4) in blue, green, red[, alpha] order, 8 or 16 bits.
+    """The image as stored, (H, W) or (H, W, 3) in blue, green, red order, 8 or 16 bits, turned as its EXIF says: as
+    every program shows it.
 
     Raises UnusableInput for a file that is missing, empty, damaged or of another kind.
     """
@@ -262,7 +263,7 @@ def read_image_file(path: Path) -> StoredImage:
         raise UnusableInput(f"{path}: is truncated or damaged; expected a whole image")
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     except cv2.error:
         image = None
     finally:
