@@ -276,6 +276,18 @@ def test_a_drawn_path_is_the_prior_of_the_arcs_direction():
     assert yaw == pytest.approx(0.02, abs=0.004)
 
 
+def test_a_drawn_path_is_no_evidence_beyond_its_ends():
+    """The vehicle drives on along the same bend where the drawing, which runs on straight in the model, has ended."""
+    path = curved_path(60.0)
+    arc = arc_beside(path, 0.0)
+    half = len(path.s) // 2
+    ended = replace(path, s=path.s[:half], points=path.points[:half], modes=path.modes[:, :half])
+    deviation = deviation_from_arc(arc, arc.nearest(path.at(np.array(5.0))), 28.0, ended)
+    u = np.linspace(0.0, 28.0, 5)
+    assert path.s[half] < 20.0
+    np.testing.assert_allclose(deviation.angles(deviation.mean, u), 0.0, atol=0.01)
+
+
 @pytest.mark.parametrize("modes", [1.0, 30.0])
 def test_how_well_the_path_is_known_is_how_well_the_arc_is(modes):
     """Against the joint Gaussian of coefficients and path, conditioned on the path's angles by its covariance form."""

@@ -104,18 +104,20 @@ def deviation_from_arc(
     """
     u = _distances(length)
     F = arc.frames(start + u)
-    path_start = path.nearest(arc.at(np.array(start)))
-    tangent = np.einsum("uij,ui->uj", F, path.frames(path_start + u)[:, :, 0])
+    s = path.nearest(arc.at(np.array(start))) + u
+    drawn = (path.s[0] <= s) & (s <= path.s[-1])  # beyond its ends the path is not known
+    tangent = np.einsum("uij,ui->uj", F[drawn], path.frames(s[drawn])[:, :, 0])
     angles = (tangent[:, 1:] / tangent[:, :1]).T  # yaw and pitch of the path, seen from the arc
-    reconstruction = _principal_components(path, path_start, u, True, driver).reshape(-1, angles.size)
+    reconstruction = _principal_components(path, s[0] - u[0], u, True, driver)[..., drawn].reshape(-1, angles.size)
     covariance = reconstruction.T @ reconstruction + ARC_MISFIT_STD_RAD**2 * np.eye(angles.size)
     gradients = np.stack(arc.heading_modes(start + u), axis=1)
-    B = np.concatenate([_polynomial_modes(u, TURN_PRIOR), gradients]).reshape(-1, angles.size)
-    weighted = np.linalg.solve(covariance, B.T)
-    information, axes = np.linalg.eigh(B @ weighted + np.eye(len(B)))
+    B = np.concatenate([_polynomial_modes(u, TURN_PRIOR), gradients])
+    observed = B[..., drawn].reshape(-1, angles.size)
+    weighted = np.linalg.solve(covariance, observed.T)
+    information, axes = np.linalg.eigh(observed @ weighted + np.eye(len(B)))
     root = axes / np.sqrt(information)  # of the covariance of the coefficients of B
     mean = root.T @ (weighted.T @ angles.ravel())
-    return _deviation(u, (root.T @ B).reshape(-1, 2, len(u)), driver, mean)
+    return _deviation(u, np.tensordot(root.T, B, 1), driver, mean)
 
 
 def heading_innovation(arc: Path, place: Array, path: Path, driver: DriverSettings = DEFAULTS.driver) -> float:
