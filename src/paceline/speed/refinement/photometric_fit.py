@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 from paceline.arrays import Array
 from paceline.speed.refinement import robust_covariance
 from paceline.speed.refinement.keyframes import Keyframe
-from paceline.speed.refinement.pyramid import ROWS_PER_PATCH, PatchGrid, PyramidLevel, build_levels
+from paceline.speed.refinement.pyramid import ROWS_PER_PATCH, PatchGrid, PyramidLevel, areas, build_levels
 from paceline.speed.refinement.self_calibration import RigEstimate, RigParameters, fixed_rig, rig_directions
 from paceline.speed.refinement.trajectory import PARAMETER_INDEX, Prior, Trajectory
 
@@ -280,24 +280,32 @@ class PhotometricFit:
         self.__dict__.pop("covariance", None)
 
     def _parameters_from_filter(self) -> Array:
-        """Parameters (n,) from a robust least-squares fit to the filter's quadrilaterals."""
+        """Parameters (n,) from a robust least-squares fit to the filter's quadrilaterals.
+
+        Their errors are in px where the region is smallest, and elsewhere as many times larger as the region is: the
+        filter follows a slightly different region, and a near vehicle's pixels are not to outweigh all others.
+        """
         quads = np.array([k.quads for k in self.keyframes])
+        size = np.sqrt(areas(quads))[..., None, None]
+        scale = size.min() / size
         p = self.prior
         root = np.linalg.cholesky(p.information).T
         theta = p.mean.copy()
-        start = np.where(p.free == PARAMETER_INDEX["curvature"], 0.0, p.mean[p.free])  # that of the path
+        along = p.mean.copy()  # along the path itself: on a bend that is the arc through the filter's places
+        along[self.trajectory.index("deviation")] = along[PARAMETER_INDEX["curvature"]] = 0.0
 
         def residuals(x: Array) -> Array:
             theta[p.free] = x
-            return np.concatenate([(self.trajectory.quads(theta) - quads).ravel(), root @ (x - p.mean[p.free])])
+            errors = scale * (self.trajectory.quads(theta) - quads)
+            return np.concatenate([errors.ravel(), root @ (x - p.mean[p.free])])
 
         def jacobian(x: Array) -> Array:
             theta[p.free] = x
             perturbed, steps = self._perturbed(theta, p.free)
-            ahead, behind = self.trajectory.quads(perturbed).reshape(2, len(x), -1)
+            ahead, behind = (scale * self.trajectory.quads(perturbed)).reshape(2, len(x), -1)
             return np.concatenate([((ahead - behind) / (2 * steps[:, None])).T, root])
 
-        optimum = least_squares(residuals, start, jacobian, x_scale="jac", loss="soft_l1", max_nfev=40)
+        optimum = least_squares(residuals, along[p.free], jacobian, x_scale="jac", loss="soft_l1", max_nfev=40)
         theta[p.free] = optimum.x
         return theta
 
