@@ -14,6 +14,9 @@ from selection import slow_after
 
 from paceline.cameras import Camera, StereoRig
 from paceline.errors import UnusableInput
+from paceline.simulation.random_scenes.drawn import random_bend
+from paceline.simulation.stereo.clip import World
+from paceline.speed.geometry import path_reconstruction
 from paceline.speed.geometry.path_reconstruction import reconstruct, reconstruct_curve
 from paceline.speed.geometry.paths import (
     Path,
@@ -283,6 +286,26 @@ def test_a_bend_that_crosses_the_view_is_determined_with_its_covariance(rig, see
     assert len(z) >= 4
     assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.6
     assert np.mean(np.abs(z) < 1.96) > 0.8
+
+
+@pytest.mark.parametrize("seed", slow_after(1, [9501, 9500]))
+def test_a_long_bend_is_found_as_well_as_its_covariance_says(monkeypatch, seed):
+    """From a first curve that fits badly the road was found 20 degrees off, and slid along itself by up to 137 m."""
+    monkeypatch.setattr(path_reconstruction, "MAX_DIRECTION_STD_RAD", np.inf)  # as it is, however uncertain
+    world = World(random_bend(seed))
+    (drawn,) = world.clip["paths"].values()
+    path = reconstruct_curve("a", world.rig, np.array(drawn["left"]), np.array(drawn["right"]))
+    z, along = [], []
+    places = np.array([row["position"] for row in world.truth if row["inside"]])
+    for before, place, after in zip(places, places[1:], places[2:], strict=False):
+        s = np.array([path.nearest(place)])
+        forwards, rightwards, _ = path.frames(s)[0].T
+        turn = np.arctan((after - before) @ rightwards / ((after - before) @ forwards))
+        z.append(turn / np.sqrt((path.heading_modes(s)[0] ** 2).sum() + 0.01**2))
+        modes = [[np.interp(s[0], path.s, m[:, c]) for c in range(3)] for m in path.modes]
+        along.append(np.linalg.norm(modes @ forwards))
+    assert np.sqrt(np.mean(np.square(z))) < 1.6
+    assert max(along) < 10.0
 
 
 def test_curves_along_the_epipolar_lines_are_refused(rig):
