@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from paceline.arrays import Array
 from paceline.recordings.odometry import Pose
 
 PAUSE = 0.5  # s for which a target was not seen, after which it is asked
@@ -48,7 +49,7 @@ class Pace:
     vehicle's way, where that is known by its poses."""
 
     def __init__(self) -> None:
-        self._travelled = 0.0
+        self.travelled = 0.0
         self._pose: Pose | None = None
         self._seen: list[Sight] = []  # believed, of late
         self._found: list[Sight] = []  # since, of one thing: the first sights of it,
@@ -59,19 +60,19 @@ class Pace:
         if pose is None:
             return
         if self._pose is not None:
-            self._travelled += hypot(pose.x - self._pose.x, pose.y - self._pose.y)
+            self.travelled += hypot(pose.x - self._pose.x, pose.y - self._pose.y)
         self._pose = pose
 
     def learn(self, time: float, distance: float) -> None:
         """At ``time``, s, the target is seen ``distance`` m ahead."""
         self._seen = [seen for seen in self._seen if time - LATELY <= seen.time < time]
-        self._seen.append(Sight(time, self._travelled + distance))
+        self._seen.append(Sight(time, self.travelled + distance))
         self._found, self._latest = [], []
 
     def complains(self, time: float, distance: float) -> bool:
         """Whether what is found at ``time``, s, and ``distance`` m ahead is not, or not yet, to be believed."""
         off, harder = OFF * distance, RELATIVE if self._pose is None else 1.0
-        here = Sight(time, self._travelled + distance)
+        here = Sight(time, self.travelled + distance)
         if not self._goes_on(here, off, harder * STEADY):
             self._found, self._latest = [], []
         first = self._found[0] if self._found else here
@@ -112,6 +113,11 @@ def _motion(seen: list[Sight], time: float) -> tuple[float, float]:
     """The place at a ``time`` and the speed, by the medians of Theil and Sen: what hides the target, or has just hidden
     it, makes single sights metres wrong."""
     times, places = np.array(seen).T
-    one, other = np.triu_indices(len(seen), 1)
+    return theil_sen(times, places, time)
+
+
+def theil_sen(times: Array, places: Array, time: float) -> tuple[float, float]:
+    """The place at a ``time`` and the speed by ``places`` (N,) at ``times`` (N,): medians (Theil 1950, Sen 1968)."""
+    one, other = np.triu_indices(len(times), 1)
     speed = np.median((places[other] - places[one]) / (times[other] - times[one]))
     return float(np.median(places - speed * (times - time))), float(speed)

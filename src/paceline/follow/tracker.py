@@ -14,6 +14,7 @@ from paceline.cameras import Camera
 from paceline.errors import UnusableInput
 from paceline.follow import fitting
 from paceline.follow.belief import Belief, Picture
+from paceline.follow.coasting import Coasting
 from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.features import Projection
 from paceline.follow.fitting import Fit
@@ -65,7 +66,7 @@ class FollowTracker:
         self.probation = Probation(Lock(location, Recogniser(self.projection, c), c), c)
         self.belief = Belief(c)
         self.steering = Steering(c.steering())
-        self.pace, self.origin = Pace(), Origin(self.projection)
+        self.pace, self.origin, self.coasting = Pace(), Origin(self.projection), Coasting()
         self._picture = Picture()
         self._time: float | None = None  # of the frame before
 
@@ -97,7 +98,7 @@ class FollowTracker:
         if was_lost and status == "tracking":
             self.probation.resume()
         if was_pending or look.slid or self.lock is not followed:
-            self.origin = Origin(self.projection)  # what was followed was elsewhere
+            self.origin, self.coasting = Origin(self.projection), Coasting()  # what was followed was elsewhere
         if image is not None and not fault and self.configuration.continuity:
             self._keep(image, time, look.fit if status == "tracking" else None)
         if look.fit is not None and status == "tracking":
@@ -140,7 +141,7 @@ class FollowTracker:
         last, self._time = self._time, time
         if last is None or 0 < time - last <= self.configuration.jump_limit:
             return ""
-        self.pace, self.origin = Pace(), Origin(self.projection)
+        self.pace, self.origin, self.coasting = Pace(), Origin(self.projection), Coasting()
         for lock in self.probation.locks:
             lock.rest(last, time)
         if time < last:
@@ -179,6 +180,8 @@ class FollowTracker:
             location, covariance = fit.location, fit.covariance
         else:
             location, covariance = expected, np.diag(doubt**2 + self.lock.foregone**2)
+            if (coasted := self.coasting.position(time, self.pace.travelled)) is not None:
+                location, covariance[2, 2] = self._coasted(*coasted)
         if self.configuration.rolling_shutter:
             displacement = displacement_deviation(self.camera, float(location[1]))
             covariance = covariance + np.diag([displacement**2, displacement**2, 0.0])
@@ -186,6 +189,8 @@ class FollowTracker:
         tolerance = max(self.configuration.model_tolerance, self.target.tolerance)
         width = float(self.target.size[0])
         place = place_of(location, covariance, self.camera, self.target.nominal_range, tolerance, width)
+        if measured:
+            self.coasting.learn(time, place.position, self.pace.travelled)
         right, _, ahead = place.position.tolist()
         steering = self.steering.angle(time, ahead, right, measured, pose, look.sure)
         return FollowEstimate(
@@ -207,6 +212,12 @@ class FollowTracker:
             window=look.window,
             latency=perf_counter() - began,
         )
+
+    def _coasted(self, position: Array, std: float) -> tuple[Array, float]:
+        """The location (3,) of a ``position`` (3,) m, and its scale's variance where ``std`` m is that of the range."""
+        x, y, _ = self.camera.K @ (position / position[2])
+        scale = self.target.nominal_range / position[2]
+        return np.array([x, y, scale]), (scale * std / position[2]) ** 2
 
 
 def warm_up() -> None:
