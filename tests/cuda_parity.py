@@ -174,6 +174,7 @@ def test_particles_move_as_on_the_cpu(
     for dt in (0.2, 0.05, 0.4):
         for particle_set, rng in particle_sets:
             particle_set.propagate(dt, rng)
+            particle_set.displace(np.array([0.2, 0.01, -3.0]) * dt)
         assert_same(on_device.to_host(), on_host)
     for particle_set, rng in particle_sets:
         particle_set.ensemble_kalman_update(place, covariance, rng)
@@ -409,9 +410,11 @@ def test_vehicles_are_weighted_together_as_each_on_the_cpu(device: CudaDevice, l
         if n > 1:
             particle_set.state.left[0] = particle_set.state.left[0, 0]  # without area
             particle_set.state.right[1, :, 0] += 300.0  # beyond the picture
+        particle_set.displace(np.array([0.01, 0.0, -0.02]) * seed)
         on_host.append(particle_set)
         on_device.append(device.particle_set(particle_set))
         models.append(observation_model(grid, frame, settings))
+        models[-1].rig = models[-1].rig.displaced(particle_set.displacement)
     views = pack_views(frame, [particle_set.image_bounds() for particle_set in on_host])
     for particle_set, model in zip(on_device, models, strict=True):
         particle_set.weight(model, views)
@@ -432,7 +435,7 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     vehicles = (Vehicle("v0", 11.0, start_distance=24.0, texture_seed=1, initial_speed=11.0),)
     scenes = {
         "line": Scene(1, vehicles, frames=4, **small),  # type: ignore[arg-type]
-        "curve": Scene(2, vehicles, frames=4, radius=-150.0, road_depth=30.0, **small),  # type: ignore[arg-type]
+        "curve": Scene(2, vehicles, frames=4, radius=-150.0, road_depth=30.0, skew_s=0.004, **small),  # type: ignore[arg-type]
     }
     folder = tmp_path_factory.mktemp("clips")
     return {name: write(render(scene), folder / name) for name, scene in scenes.items()}

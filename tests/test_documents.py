@@ -315,15 +315,26 @@ ORDER = "top-left, top-right, bottom-right, bottom-left as seen in the image"
         ("vehicles.0.left", [[300, 200], [310, 200], [310, 206], [300, 206]],
          "vehicles[0].left: is too small to track (area 60 px², shortest side 6.0 px); expected at least 64 px²"),
         ("vehicles.0.left", [[300, 200]] * 4, "vehicles[0].left: is too small to track (area 0 px²"),
-        ("vehicles.0.right", [[x + 100, y] for x, y in RIGHT],
-         "vehicles[0]: the top-left corner triangulates behind the cameras; expected the same corner in both views "
-         "(are left and right swapped?)"),
-        ("vehicles.0.right", [[x, y + 40] for x, y in RIGHT],
-         "vehicles[0]: the views disagree: the right outline lies 40 px off the epipolar line of the left one"),
     ],
 )  # fmt: skip
 def test_a_clip_that_cannot_be(key, value, message):
     assert refusal(load_clip, write(changed(CLIP, key, value))).startswith(f"clip.yaml: {message}")
+
+
+@pytest.mark.parametrize(
+    ("right", "message"),
+    [
+        ([[x + 100, y] for x, y in RIGHT],
+         "vehicles[0]: the top-left corner triangulates behind the cameras; expected the same corner in both views "
+         "(are left and right swapped?)"),
+        ([[x, y + 40] for x, y in RIGHT],
+         "vehicles[0]: the views disagree: the right outline lies 40 px off the epipolar line of the left one"),
+    ],
+)  # fmt: skip
+def test_outlines_at_the_same_instant_are_of_the_same_part(right, message):
+    clip = changed(CLIP, "vehicles.0.right", right)
+    load_clip(write(clip))  # whose views may be exposed at other instants
+    assert refusal(load_clip, write(clip | {"synchronised": True})).startswith(f"clip.yaml: {message}")
 
 
 @pytest.mark.parametrize(("offset", "found"), [(0.008, "0.008"), ({"value": 0, "std": 0.001}, "0 ± 0.001")])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from paceline.cameras import Camera, Quantity, RigUncertainty, StereoRig, perturbed_rig
-from paceline.documents.loading import load_clip
+from paceline.documents.loading import VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.geometry import epipolar_distance
-from paceline.imaging import recorded_cameras
+from paceline.imaging import outline_motion, recorded_cameras
 from paceline.imaging.camera_rotation import (
     CameraRotations,
     ReferenceView,
@@ -24,11 +25,12 @@ from paceline.imaging.camera_rotation import (
     rotation_jacobian,
 )
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals, velocity_across
-from paceline.imaging.feature_matches import Matches, match_views
+from paceline.imaging.feature_matches import NO_MATCHES, Matches, match_views, velocity_and_growth
 from paceline.recordings.live_stereo import LiveStereo
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.stereo.clip import render, write
 from paceline.simulation.stereo.scene import Scene, Vehicle
+from paceline.speed.geometry.initial_plane import plane_from_outlines
 from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement.keyframes import Keyframe, exposures
 
@@ -146,10 +148,10 @@ def moving_points(rig: StereoRig, offset: float, readouts=(0.0, 0.0), count: int
     right = rig.right.project(rig.to_right(P + times[1][:, None] * V))
     velocity = (rig.left.project(P + 1e-4 * V) - rig.left.project(P - 1e-4 * V)) / 2e-4
     noise = rng.normal(0, 0.05, right.shape)
-    matches = Matches(left, right + noise, velocity)
+    matches = Matches(left, right + noise, velocity, -V[:, 2] / (P[:, 2] + times[0] * V[:, 2]))
     is_moving = np.arange(count) < count // 2
     return tuple(
-        Matches(*(values[mask] for values in (matches.left, matches.right, matches.velocity)))
+        Matches(*(values[mask] for values in (matches.left, matches.right, matches.velocity, matches.growth)))
         for mask in (~is_moving, is_moving)
     )
 
@@ -174,12 +176,35 @@ def test_the_offset_is_found_within_its_uncertainty(rig, offset, readouts):
     assert fit.rig is rig  # it is exact
 
 
+def test_points_are_moved_on_by_constant_velocities_in_space(rig):
+    rng, dt = np.random.default_rng(8), 0.1
+    P, V = rng.uniform([-4, -2, 20], [4, 2, 70], (50, 3)), rng.uniform([-3, -1, -20], [3, 1, 20], (50, 3))
+    before, left, after = (rig.left.project(P + t * V) for t in (-dt, 0.0, dt))
+    motion = velocity_and_growth(left - before, after - left, dt)
+    later = Matches(left, left, *motion).later(0.04)
+    np.testing.assert_allclose(later.left, rig.left.project(P + 0.04 * V), atol=1e-9)
+    np.testing.assert_allclose(later.growth, -V[:, 2] / (P + 0.04 * V)[:, 2], atol=1e-9)
+    velocity = (rig.left.project(P + 0.0401 * V) - rig.left.project(P + 0.0399 * V)) / 2e-4
+    np.testing.assert_allclose(later.velocity, velocity, rtol=1e-4)
+
+
+@pytest.mark.parametrize("skew", [-0.05, 0.033])
+def test_how_a_vehicle_moves_between_the_exposures_follows_from_its_left_outline(rig, skew):
+    outline = np.array([[-0.9, -0.5, 30.0], [0.9, -0.5, 30.0], [0.9, 0.5, 30.0], [-0.9, 0.5, 30.0]])
+    velocity = np.array([6.0, 0.4, -14.0])
+    left, right = rig.left.project(outline), rig.project(outline + skew * velocity)[1]
+    moved = outline_motion.displacement_between_exposures(rig, left, right, skew, velocity / 30.0)
+    np.testing.assert_allclose(moved, skew * velocity, rtol=3e-3)
+    vehicle = VehicleDocument("v0", None, 0, left, right, "free", None, moved)
+    plane = plane_from_outlines(rig, vehicle, None, 0.5)
+    np.testing.assert_allclose(plane.centre, outline.mean(0), rtol=3e-3, atol=1e-3)
+
+
 def test_where_little_moves_the_offset_is_unknown(rig):
     static, moving = moving_points(rig, 0.01)
-    few = Matches(moving.left[:5], moving.right[:5], moving.velocity[:5])
+    few = Matches(moving.left[:5], moving.right[:5], moving.velocity[:5], moving.growth[:5])
     assert fit_epipolar_residuals(rig, static, few, UNKNOWN_OFFSET, 0.017).offset is None
-    none = Matches(*np.zeros((3, 0, 2)))
-    fit = fit_epipolar_residuals(rig, none, none, UNKNOWN_OFFSET, 0.017)
+    fit = fit_epipolar_residuals(rig, NO_MATCHES, NO_MATCHES, UNKNOWN_OFFSET, 0.017)
     assert fit.offset is None and fit.epipolar_px is None
 
 
@@ -190,9 +215,7 @@ def test_what_moves_along_the_epipolar_lines_leaves_the_offset_unknown(slope):
     left, right = rig.project(P)
     velocity = (rig.left.project(P + 1e-4 * V) - left) / 1e-4
     right += np.random.default_rng(7).normal(0, 0.05, right.shape)
-    fit = fit_epipolar_residuals(
-        rig, Matches(*np.zeros((3, 0, 2))), Matches(left, right, velocity), UNKNOWN_OFFSET, 0.017
-    )
+    fit = fit_epipolar_residuals(rig, NO_MATCHES, Matches(left, right, velocity, np.zeros(100)), UNKNOWN_OFFSET, 0.017)
     assert abs(fit.offset.value) < 0.01 and fit.offset.std == pytest.approx(0.1, rel=0.01)
 
 
@@ -262,18 +285,25 @@ def test_each_row_has_its_time():
 # --- clips ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def late_clip(tmp_path_factory):
-    """The right camera is 12 ms late, which no file says."""
-    folder = tmp_path_factory.mktemp("late")
-    vehicle = Vehicle("v0", 15.0, start_distance=45.0)
-    scene = Scene(5, (vehicle,), camera_height=3.0, tilt=0.06, road_depth=35.0, rate=10.0, frames=14, skew_s=0.012)
+LATE_SCENE = Scene(
+    5, (Vehicle("v0", 15.0, start_distance=45.0),), camera_height=3.0, tilt=0.06, road_depth=35.0, rate=10.0, frames=14
+)
+
+
+def write_without_times(scene: Scene, folder: Path) -> Path:
+    """The clip of a scene whose right camera is late, which no file says."""
     write(render(scene), folder)
     file = folder / "clip.yaml"
     document = yaml.safe_load(file.read_text())
     del document["times"]
-    file.write_text(yaml.safe_dump(document | {"rate": 10.0}))
+    file.write_text(yaml.safe_dump(document | {"rate": scene.rate}))
     return file
+
+
+@pytest.fixture(scope="module")
+def late_clip(tmp_path_factory):
+    """The right camera is 12 ms late."""
+    return write_without_times(replace(LATE_SCENE, skew_s=0.012), tmp_path_factory.mktemp("late"))
 
 
 def test_a_late_right_view_is_found_and_does_not_bias_the_speed(late_clip):
@@ -283,6 +313,22 @@ def test_a_late_right_view_is_found_and_does_not_bias_the_speed(late_clip):
     assert abs(offset["value"] - 0.012) < 4 * offset["std"] and offset["std"] < 0.001
     assert measurement.verdict == "measured"
     assert measurement.speed_lo < 15.0 < measurement.speed_hi
+
+
+@pytest.mark.parametrize("radius", [None, -60.0])
+def test_a_vehicle_is_measured_where_it_moves_farther_than_the_baseline_between_the_exposures(radius, tmp_path):
+    result = measure_clip(write_without_times(replace(LATE_SCENE, skew_s=0.04, radius=radius), tmp_path))
+    measurement = result.measurements[0]
+    assert abs(result.cameras["offset_s"]["value"] - 0.04) < 4 * result.cameras["offset_s"]["std"] < 0.008
+    assert measurement.verdict == "measured", measurement.reason
+    assert measurement.speed_lo < 15.0 < measurement.speed_hi and measurement.speed_hi - measurement.speed_lo < 0.4
+
+
+def test_outlines_that_cannot_be_of_one_part_are_refused_once_the_offset_is_known(late_clip):
+    clip = load_clip(late_clip)
+    vehicle = replace(clip.vehicles[0], right=clip.vehicles[0].right + [0.0, 200.0])
+    with pytest.raises(UnusableInput, match=r"vehicles\[0\]: the views disagree"):
+        measure_clip(replace(clip, vehicles=[vehicle]))
 
 
 def test_a_stated_offset_is_taken_as_stated(late_clip):

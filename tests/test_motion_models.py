@@ -107,6 +107,20 @@ def test_regions_move_as_the_corners_in_space_do(rig, seed):
 
 @settings(deadline=None, max_examples=40)
 @given(SEEDS)
+def test_regions_of_planes_that_move_between_the_exposures_move_as_the_corners_do(rig, seed):
+    """The right region is seen when the plane is displaced; the rigid motion holds there, too."""
+    displacement = np.random.default_rng(seed).uniform([-1, -0.2, -1], [1, 0.2, 1])
+    (dR, dt), state = random_motions(seed), random_state(rig, seed)
+    at_right = replace(state, distance=state.distance + state.normal @ displacement)
+    after = apply_rigid_motion(state, rig, dt, dR, displacement)
+    for view, planes in enumerate((state, at_right)):
+        there = np.einsum("nij,nkj->nki", dR, corners_in_space(rig, planes)[view]) + dt[:, None]
+        expected = rig.project(there)[view]
+        np.testing.assert_allclose((after.left, after.right)[view], expected, rtol=1e-11, atol=1e-9)
+
+
+@settings(deadline=None, max_examples=40)
+@given(SEEDS)
 def test_the_plane_moves_as_three_of_its_points_do(rig, seed):
     state = random_state(rig, seed)
     dR, dt = random_motions(seed)

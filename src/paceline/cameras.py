@@ -199,6 +199,11 @@ class StereoRig:
         """World points (2, 3) of the two centres of projection."""
         return np.stack([np.zeros(3), -self.R.T @ self.t])
 
+    def displaced(self, displacement: Array) -> StereoRig:
+        """The rig to which all that moves by ``displacement`` (3,) m from the left exposure to the right one looks as
+        it does to this one: its views are exposed at once."""
+        return replace(self, t=self.t + self.R @ displacement)
+
     def to_right(self, points: Array) -> Array:
         """World points (…, 3) in the right camera's frame ([Zhu] (7))."""
         return np.asarray(points, float) @ self.R.T + self.t

@@ -7,7 +7,7 @@ The results are plain: a :class:`~paceline.cameras.StereoRig`, a :class:`Clip` w
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -51,7 +51,10 @@ class PathDocument:
 
 @dataclass(frozen=True, eq=False)
 class VehicleDocument:
-    """A vehicle outlined in its first ``frame``: ``left`` and ``right`` (4, 2) ideal pixels, tl, tr, br, bl."""
+    """A vehicle outlined in its first ``frame``: ``left`` and ``right`` (4, 2) ideal pixels, tl, tr, br, bl.
+
+    ``displacement`` (3,) m is how far it moves from the left exposure of that frame to the right one.
+    """
 
     id: str
     path: str | None
@@ -60,6 +63,7 @@ class VehicleDocument:
     right: Array
     plane: Literal["front", "side", "free"]
     speed: float | None  # m/s, a first guess
+    displacement: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +133,10 @@ def load_rig(path: str | Path) -> StereoRig:
 
 
 def load_clip(path: str | Path) -> Clip:
-    """The clip that a clip.yaml describes, with its rig; raises UnusableInput, naming the key, where it cannot be."""
+    """The clip that a clip.yaml describes, with its rig; raises UnusableInput, naming the key, where it cannot be.
+
+    Outlines of a vehicle in views that may not be exposed at the same instants are not compared with each other.
+    """
     path = Path(path)
     model = read_document(ClipModel, path)
     site, rig = _site(path, model)
@@ -144,7 +151,10 @@ def load_clip(path: str | Path) -> Clip:
     for i, m in enumerate(model.vehicles or []):
         if any(m.id == v.id for v in vehicles):
             raise UnusableInput(f"{path}: vehicles[{i}].id: {m.id!r} occurs twice; expected one of its own")
-        vehicles.append(_vehicle(path, clip.rig, paths, f"vehicles[{i}]", m))
+        vehicle = _vehicle(path, clip.rig, paths, f"vehicles[{i}]", m)
+        if model.synchronised:
+            require_same_part(path, clip.rig, i, vehicle)
+        vehicles.append(vehicle)
     return replace(clip, paths=paths, vehicles=vehicles)
 
 
@@ -309,9 +319,14 @@ def _vehicle(
     for side, corners, camera in (("left", m.left, rig.left), ("right", m.right, rig.right)):
         _refuse(file, f"{key}.{side}", plausibility.check_quadrilateral(corners, camera.image_size))
     left, right = rig.left.undistort_points(m.left), rig.right.undistort_points(m.right)
-    _refuse(file, key, plausibility.check_views(rig, left, right))
     plane = m.plane or ("free" if m.path is None else "front")
     return VehicleDocument(m.id, m.path, m.frame, left, right, plane, m.speed)
+
+
+def require_same_part(file: Path, rig: StereoRig, i: int, vehicle: VehicleDocument) -> None:
+    """Raise UnusableInput where both outlines of ``vehicle``, the ``i``-th in ``file``, cannot be of the same part."""
+    apparent = rig.displaced(vehicle.displacement)
+    _refuse(file, f"vehicles[{i}]", plausibility.check_views(apparent, vehicle.left, vehicle.right))
 
 
 def _refuse(file: Path, key: str, complaint: str | None) -> None:

@@ -56,8 +56,24 @@ def fit_epipolar_residuals(
 
     The rig has its calibration's uncertainty as its prior and the offset that which is ``expected``; the readouts'
     difference is 0 with the standard deviation ``readout_difference_std`` (s). What moves along the epipolar lines
-    shows neither.
+    shows neither. As motion in the picture is not uniform, the fit is made once more with the left points moved on to
+    the right exposure.
     """
+    fit = _fit_offset(rig, static, moving, expected, readout_difference_std)
+    if fit.offset is None:
+        return fit
+    found = fit.offset.value
+    further = replace(expected, value=expected.value - found)
+    fit = _fit_offset(rig, static, moving.later(found), further, readout_difference_std)
+    if fit.offset is None:
+        return fit
+    return replace(fit, offset=replace(fit.offset, value=found + fit.offset.value))
+
+
+def _fit_offset(
+    rig: StereoRig, static: Matches, moving: Matches, expected: Quantity, readout_difference_std: float
+) -> EpipolarFit:
+    """As `fit_epipolar_residuals`, of points that move uniformly."""
     left, right = np.concatenate([static.left, moving.left]), np.concatenate([static.right, moving.right])
     root = np.zeros((0, 14)) if rig.uncertainty is None else rig.uncertainty.covariance_root
     residual = epipolar_distance(rig, left, right)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import islice
 
 import cv2
@@ -44,14 +44,22 @@ MIN_DISPLACEMENT_PX = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Points ``left`` and ``right`` (N, 2) px that match, and the left ones' ``velocity`` (N, 2) px/s."""
+    """Points ``left`` and ``right`` (N, 2) px that match, the left ones' ``velocity`` (N, 2) px/s, and the ``growth``
+    (N,) 1/s of their pictures as they come nearer: their speed over their depth."""
 
     left: Array
     right: Array
     velocity: Array
+    growth: Array
+
+    def later(self, dt: float) -> Matches:
+        """The same with the left points as they are ``dt`` s later, by constant velocities in space."""
+        nearer = 1.0 / (1.0 - dt * self.growth)
+        left = self.left + dt * nearer[:, None] * self.velocity
+        return Matches(left, self.right, nearer[:, None] ** 2 * self.velocity, nearer * self.growth)
 
 
-NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)))
+NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 
 def match_views(recording: StereoRecording) -> tuple[Matches, Matches]:
@@ -64,10 +72,8 @@ def match_views(recording: StereoRecording) -> tuple[Matches, Matches]:
         if static is None:
             static = _match_static(detector, rig, frame, [~_grown(r) for r in regions])
         moving.append(_match_moving(detector, rig, (before, frame, after), regions))
-    left, right, velocity = (
-        np.concatenate([getattr(m, name) for m in moving]) for name in ("left", "right", "velocity")
-    )
-    return static or NO_MATCHES, Matches(left, right, velocity)
+    values = (np.concatenate([getattr(m, f.name) for m in moving]) for f in fields(Matches))
+    return static or NO_MATCHES, Matches(*values)
 
 
 def _instants(recording: StereoRecording) -> Iterator[tuple[StereoFrame, StereoFrame, StereoFrame]]:
@@ -136,8 +142,19 @@ def _match_moving(
     shorter = np.minimum(np.linalg.norm(behind, axis=1), np.linalg.norm(ahead, axis=1))
     total = np.linalg.norm(ahead + behind, axis=1)
     steady = (np.linalg.norm(ahead - behind, axis=1) < MAX_ACCELERATION_SHARE * total) & (shorter > MIN_DISPLACEMENT_PX)
-    velocity = (ahead + behind) / (after.time - before.time)
-    return Matches(pairs.left[steady], pairs.right[steady], velocity[steady])
+    dt = 0.5 * (after.time - before.time)
+    return Matches(pairs.left[steady], pairs.right[steady], *velocity_and_growth(behind[steady], ahead[steady], dt))
+
+
+def velocity_and_growth(behind: Array, ahead: Array, dt: float) -> tuple[Array, Array]:
+    """The velocities (N, 2) px/s and growths (N,) 1/s of points that move by ``behind`` and ``ahead`` (N, 2) px in the
+    ``dt`` s before and after.
+
+    At a constant velocity in space a point is at x + v t / (1 − g t), with g its growth.
+    """
+    total = ahead + behind
+    growing = ((ahead - behind) * total).sum(1) / (total**2).sum(1)  # g dt
+    return 0.5 / dt * (1.0 - growing**2)[:, None] * total, growing / dt
 
 
 def _match_static(detector: cv2.SIFT, rig: StereoRig, frame: StereoFrame, masks: list[Mask]) -> Matches:
@@ -160,7 +177,8 @@ def _match_views(
     pictures = to_8_bit(frame.left), to_8_bit(frame.right)
     refined, found = track_forth_and_back(*pictures, left, right, 0, REFINEMENT_PRECISION_PX, MAX_MATCH_RETURN_PX)
     found &= np.linalg.norm(refined - right, axis=1) < MAX_REFINEMENT_PX
-    return Matches(left[found], refined[found], np.zeros((int(found.sum()), 2)))
+    still = np.zeros((int(found.sum()), 2))
+    return Matches(left[found], refined[found], still, still[:, 0])
 
 
 def _features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array, Descriptors]:

@@ -15,11 +15,12 @@ from scipy.stats import norm
 from paceline.arrays import Array, Indices
 from paceline.blas import on_one_blas_thread
 from paceline.cameras import VIEW_NAMES, Camera, Quantity, StereoRig
-from paceline.documents.loading import Clip
+from paceline.documents.loading import Clip, VehicleDocument, require_same_part
 from paceline.errors import UnusableInput
 from paceline.imaging.camera_rotation import MIN_KNOWN_SHARE, CameraRotations, estimate_rotations, expected_rotations
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
 from paceline.imaging.feature_matches import match_views
+from paceline.imaging.outline_motion import displacement_between_exposures, motion_by_depth
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.verdicts import Message, message
@@ -93,7 +94,7 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     """What ``recording`` tells of the cameras of ``clip``, and both corrected for it.
 
     Cameras that travel, as on a vehicle, are left as they are. Raises UnusableInput for a ``drawn_on`` that is no
-    frame, or an ``offset`` by which other frames belong together.
+    frame, an ``offset`` by which other frames belong together, or outlines that are of no one part of a vehicle.
     """
     interval = recording.pairing.interval
     if clip.offset is not None and abs(clip.offset.value) > interval:
@@ -113,7 +114,8 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     offset = clip.offset or expected_offset(fit.offset, interval)
     steady = steady.corrected(offset.value, steady.rotations)
     cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit)
-    return replace(cameras, clip=with_steady_outlines(cameras))
+    clip = with_displacements(with_steady_outlines(cameras), steady)
+    return replace(cameras, clip=clip)
 
 
 def reference_frame(clip: Clip, recording: StereoRecording) -> StereoFrame:
@@ -174,3 +176,31 @@ def with_steady_outlines(cameras: RecordedCameras) -> Clip:
             vehicle = replace(vehicle, left=left, right=right)
         vehicles.append(vehicle)
     return replace(clip, vehicles=vehicles)
+
+
+def with_displacements(clip: Clip, recording: StereoRecording) -> Clip:
+    """The clip with how far its vehicles move from the left exposure of their frames to the right one.
+
+    Raises UnusableInput for outlines that cannot be of the same part of such a vehicle.
+    """
+    vehicles = [replace(v, displacement=displacement_of(v, clip.rig, recording)) for v in clip.vehicles]
+    for i, vehicle in enumerate(vehicles):
+        require_same_part(clip.path, clip.rig, i, vehicle)
+    return replace(clip, vehicles=vehicles)
+
+
+def displacement_of(vehicle: VehicleDocument, rig: StereoRig, recording: StereoRecording) -> Array:
+    """How far (3,) m a ``vehicle`` moves from the left exposure of its frame to the right one.
+
+    That is by the motion of its left outline until the next frame, or from the last one to the one before.
+    """
+    n = int(np.searchsorted(recording.indices, vehicle.frame))
+    if n == len(recording) or recording.indices[n] != vehicle.frame or not recording.skews[n]:
+        return np.zeros(3)
+    numbers = recording.indices[[n, n + 1 if n + 1 < len(recording) else n - 1]]
+    frames = {frame.index: frame for frame in recording.frames(int(numbers.min()), int(numbers.max()) + 1)}
+    if len(frames) < 2:
+        return np.zeros(3)  # one of them cannot be decoded
+    first, second = (frames[number] for number in numbers.tolist())
+    motion = motion_by_depth(rig, first.left, second.left, vehicle.left, second.time - first.time)
+    return displacement_between_exposures(rig, vehicle.left, vehicle.right, first.skew, motion)

@@ -33,6 +33,8 @@ class FilterTracker(Protocol):
 
     def predict(self, frame: StereoFrame) -> None: ...
 
+    def displace(self, frame: StereoFrame) -> None: ...
+
     def register(self, frame: StereoFrame) -> None: ...
 
     def weight(self, views: Views) -> None: ...
@@ -60,6 +62,8 @@ def step(trackers: Sequence[FilterTracker], frame: StereoFrame) -> list[Estimate
         return []
     for tracker in trackers:
         tracker.predict(frame)
+    for tracker in trackers:
+        tracker.displace(frame)
     for tracker in trackers:
         tracker.register(frame)
     views = pack_views(frame, [tracker.particle_set.image_bounds() for tracker in trackers])

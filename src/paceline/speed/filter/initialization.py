@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
+from paceline.imaging.outline_motion import match_template
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
@@ -32,7 +32,6 @@ from paceline.speed.geometry.paths import Path, path_ahead
 
 SpeedPrior = tuple[float, float]  # a speed and its standard deviation, m/s
 
-SCALE_CANDIDATES = np.geomspace(0.72, 1.4, 23)  # of the template from the first frame to the second
 TEMPLATE_MATCH_SIGMA_PX = 0.7  # standard deviation of a matched template's position and size
 MIN_HEADING_TRAVEL_M = 2.0  # distance travelled from which on its direction is used
 CURVATURE_LENGTH_M = 5.0  # m of a path over which its curvature is taken
@@ -72,7 +71,11 @@ class Initialization:
                 plane = self.texture.initialize((frame.left, frame.right), self.vehicle.left, plane)
         factor = c.start.particle_factor if self.vehicle.speed is None else 1
         state = initial_state(plane, self.vehicle, c.particles * factor, self.rng)
-        return plane, ParticleSet(self.rig, self.motions[0], state, Weights.equal(len(state)))
+        return plane, self.particles(self.motions[0], state, Weights.equal(len(state)))
+
+    def particles(self, motion: PathMotion | FreeMotion, state: State, weights: Weights) -> ParticleSet:
+        """Particles of ``state`` and ``weights`` that move by ``motion``, as the vehicle does at its first frame."""
+        return ParticleSet(self.rig, motion, state, weights, self.vehicle.displacement)
 
     def initialize_speed(self, frame: StereoFrame, first: StereoFrame, start: State) -> Particles:
         """The second frame: particles with the direction and the speed of the vehicle.
@@ -85,15 +88,16 @@ class Initialization:
         prior = operator_speed(self.vehicle, self.configuration)
         outcomes = []
         for motion in self.motions:
-            state = motion.propagate(self.draw_start(start, motion, images, dt, prior), dt, self.rng)
+            drawn = self.draw_start(start, motion, images, dt, prior)
+            state = motion.propagate(drawn, dt, self.rng, self.vehicle.displacement)
             views = pack_views(frame, [(state.left, state.right)])
             lw = self.device.log_likelihood(self.model, views, state)
             outcomes.append((float(np.logaddexp.reduce(lw)), state, lw, motion))
         _, state, lw, motion = max(outcomes, key=lambda outcome: outcome[0])
         if self.texture is None:
-            likeliest = ParticleSet(self.rig, motion, state, Weights(lw))
+            likeliest = self.particles(motion, state, Weights(lw))
         else:
-            likeliest = ParticleSet(self.rig, motion, state, tempered_weights(lw))
+            likeliest = self.particles(motion, state, tempered_weights(lw))
             particle_set, observation = self.refine_start(self.texture, frame, likeliest, start, images, dt)
             if observation is not None and observation.inside_gate:
                 update_by_registration(self.texture, particle_set, observation, self.rng)
@@ -128,8 +132,8 @@ class Initialization:
                 drawn = self.turn_start(draw_registered_start(start, self.plane, observation, dt, self.rng), dt)
             else:
                 drawn = self.draw_start(start, motion, images, dt, prior)
-            state = motion.propagate(drawn, dt, self.rng)
-            particle_set = ParticleSet(self.rig, motion, state, Weights.equal(len(state)))
+            state = motion.propagate(drawn, dt, self.rng, self.vehicle.displacement)
+            particle_set = self.particles(motion, state, Weights.equal(len(state)))
             observation = register_plane(texture, particle_set, frame, self.is_aligned(particle_set, dt))
             if observation is None:
                 break
@@ -314,29 +318,6 @@ def draw_yaw_rate(state: State, dt: float, curvature: float, rng: np.random.Gene
     velocity = turned(state.velocity, np.cos(half) / chord, -np.sin(half) / chord)
     turning = state.turning + yaw_rate[:, None] * [0.0, 1.0, 0.0]
     return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1), turning=turning)
-
-
-def match_template(first: Image, second: Image, quad: Array, reach: float) -> tuple[Array, float]:
-    """Match the template inside ``quad`` (4, 2) of ``first`` in ``second``: its shift (2,) in pixels, at most about
-    ``reach``, and its change of scale."""
-    x0, y0 = np.maximum(np.floor(quad.min(0)).astype(int), 0)
-    x1, y1 = np.ceil(quad.max(0)).astype(int) + 1
-    template = first[y0:y1, x0:x1]
-    across = int(reach) + (x1 - x0) // 4
-    down = int(min(reach, 0.25 * reach + (y1 - y0)))
-    left, top = max(x0 - across, 0), max(y0 - down, 0)
-    window = second[top : y1 + down, left : x1 + across]
-    best = (-1.0, np.zeros(2), 1.0)
-    for growth in SCALE_CANDIDATES:
-        scaled = cv2.resize(template, None, fx=growth, fy=growth, interpolation=cv2.INTER_LINEAR)
-        if scaled.shape[0] > window.shape[0] or scaled.shape[1] > window.shape[1]:
-            continue
-        scores = cv2.matchTemplate(window, scaled, cv2.TM_CCOEFF_NORMED)
-        y, x = np.unravel_index(int(np.argmax(scores)), scores.shape)
-        if scores[y, x] > best[0]:
-            middle = np.array([left + x + scaled.shape[1] / 2, top + y + scaled.shape[0] / 2])
-            best = (float(scores[y, x]), middle - np.array([x0 + x1, y0 + y1]) / 2, float(growth))
-    return best[1], best[2]
 
 
 def tempered_weights(lw: Array) -> Weights:

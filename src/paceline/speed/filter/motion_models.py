@@ -22,6 +22,7 @@ NoiseDraws = list[tuple[float, int]]  # for each kind of noise, in the order of 
 
 ZHU_FRAME_INTERVAL_S = 0.2  # s, the frame interval of [Zhu], to which its noises per frame refer
 COVARIANCE_FLOOR_M2 = 1e-12  # m², keeps a covariance positive definite
+NO_DISPLACEMENT = np.zeros(3)  # m, between exposures at the same instant
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +51,18 @@ class State:
         return State(*(np.take(getattr(self, name), index, axis=0) for name in self.__dataclass_fields__))
 
 
-def apply_rigid_motion(state: State, rig: StereoRig, dt: Array, dR: Array | None = None) -> State:
+def apply_rigid_motion(
+    state: State, rig: StereoRig, dt: Array, dR: Array | None = None, displacement: Array = NO_DISPLACEMENT
+) -> State:
     """``state`` after the rigid motions P' = ΔR P + Δt, given as (N, 3) and (N, 3, 3) (None: no rotation).
 
-    Equations (5)–(8), (10), (11) of [Zhu].
+    Equations (5)–(8), (10), (11) of [Zhu], with planes that move by ``displacement`` (3,) m from the left exposure, at
+    which the state holds, to the right one.
     """
     n, d = state.normal, state.distance
     R, t = rig.R, rig.t
     n_right = n @ R.T
-    d_right = d + n_right @ t
+    d_right = d + n_right @ t + n @ displacement
     dt_right = dt @ R.T  # with ΔR_right the decomposition of T ΔT T⁻¹ of (8)
     dR_right = None
     if dR is not None:
@@ -116,12 +120,13 @@ def ensemble_kalman_update(
     measurements: Array,
     noise: Array,
     model: FreeMotion | PathMotion,
+    displacement: Array = NO_DISPLACEMENT,
 ) -> State:
     """``state`` after an ensemble Kalman step with measured poses of the plane.
 
     ``poses`` (N, m) are the plane centres and with m = 4 the yaws; ``measurements`` (N, m) one
     perturbed measurement of it for each particle, ``noise`` (m, m) its covariance. The gain comes from the weighted
-    particles' covariance.
+    particles' covariance. The planes move by ``displacement`` (3,) m between the exposures.
     """
     fields, m = model.corrected_fields, len(noise)
     columns = [poses, *(getattr(state, f).reshape(len(state), -1) for f in fields)]
@@ -138,7 +143,7 @@ def ensemble_kalman_update(
     if m > 3:  # the plane turns about its own centre
         dR = Rotation.from_euler("y", change[:, 3:4]).as_matrix()
         shift = shift + poses[:, :3] - _combine_columns(dR, poses[:, :3])
-    after = apply_rigid_motion(state, rig, shift, dR)
+    after = apply_rigid_motion(state, rig, shift, dR, displacement)
     return model.after_shift(replace(after, **updates), change[:, :3])
 
 
@@ -187,20 +192,29 @@ class FreeMotion:
         self.rotation_noise = configuration.rotation_noise
         self.translation_noise = configuration.translation_noise
 
-    def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
-        """All particles ``dt`` seconds later. The plane turns about its own centre and is carried along."""
+    def propagate(
+        self, state: State, dt: float, rng: np.random.Generator, displacement: Array = NO_DISPLACEMENT
+    ) -> State:
+        """All particles ``dt`` seconds later. The plane turns about its own centre and is carried along.
+
+        Planes move by ``displacement`` (3,) m from the left exposure to the right one.
+        """
         turning, velocity = _draw_noise(self.noise_draws(dt), len(state), rng)
         turning, velocity = state.turning + turning, state.velocity + velocity
         dR = Rotation.from_euler("xyz", turning * dt).as_matrix()
         centre = plane_centres(self.rig, state)
         shift = centre + velocity * dt - _combine_columns(dR, centre)
-        after = apply_rigid_motion(state, self.rig, shift, dR)
+        after = apply_rigid_motion(state, self.rig, shift, dR, displacement)
         return replace(after, turning=turning, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 
     def noise_draws(self, dt: float) -> NoiseDraws:
         """The noise of ``dt`` seconds: of the turning, in rad/s, and of the velocity, in m/s."""
         scale = float(np.sqrt(dt / ZHU_FRAME_INTERVAL_S))
         return [(self.rotation_noise * scale, 3), (self.translation_noise * scale, 3)]
+
+    def velocity(self, state: State) -> Array:
+        """The velocity (3,) m/s of a state of one particle."""
+        return np.asarray(state.velocity[0])
 
     def yaw_rate(self, state: State, dt: float) -> float:
         """Turning (rad/s) about the camera's y axis, to the right, of a state of one particle."""
@@ -217,7 +231,9 @@ class CoordinatedTurn(FreeMotion):
     The velocity turns by the yaw alone, about the camera's y axis, which is nearly the road's vertical.
     """
 
-    def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
+    def propagate(
+        self, state: State, dt: float, rng: np.random.Generator, displacement: Array = NO_DISPLACEMENT
+    ) -> State:
         """All particles ``dt`` seconds later. The plane turns with the vehicle as its centre moves along an arc."""
         turning, velocity = _draw_noise(self.noise_draws(dt), len(state), rng)
         turning, velocity = state.turning + turning, state.velocity + velocity
@@ -226,7 +242,7 @@ class CoordinatedTurn(FreeMotion):
         along, across = chord_of_turn(turning[:, 1] * dt)
         shift = centre + dt * turned(velocity, along, across) - _combine_columns(dR, centre)
         velocity = turned(velocity, np.cos(turning[:, 1] * dt), np.sin(turning[:, 1] * dt))
-        after = apply_rigid_motion(state, self.rig, shift, dR)
+        after = apply_rigid_motion(state, self.rig, shift, dR, displacement)
         return replace(after, turning=turning, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 
 
@@ -264,7 +280,9 @@ class PathMotion:
             np.zeros(2) if configuration.exact_path else configuration.heading_noise * lane_keeping / lane_keeping[0]
         )
 
-    def propagate(self, state: State, dt: float, rng: np.random.Generator) -> State:
+    def propagate(
+        self, state: State, dt: float, rng: np.random.Generator, displacement: Array = NO_DISPLACEMENT
+    ) -> State:
         """All particles ``dt`` seconds later."""
         noise = _draw_noise(self.noise_draws(dt), len(state), rng)
         speed = state.speed + noise[0]
@@ -276,12 +294,14 @@ class PathMotion:
         length = np.einsum("ni,ni->n", step, F[:, :, 0])
         shift = step + length[:, None] * _combine_columns(F[:, :, 1:], heading)
         if self.name == "line":
-            return replace(apply_rigid_motion(state, self.rig, shift), speed=speed, s=s, heading=heading)  # (22)–(24)
+            after = apply_rigid_motion(state, self.rig, shift, None, displacement)  # (22)–(24)
+            return replace(after, speed=speed, s=s, heading=heading)
         F_after = self.path.frames(s)
         dR = F_after @ np.swapaxes(F, -1, -2)  # (26)
         drift = _combine_columns(F_after[:, :, 1:], noise[4] * self.drift * np.sqrt(dt / ZHU_FRAME_INTERVAL_S))
         shift += start - _combine_columns(dR, start) + drift  # (27)
-        return replace(apply_rigid_motion(state, self.rig, shift, dR), speed=speed, s=s, heading=heading)
+        after = apply_rigid_motion(state, self.rig, shift, dR, displacement)
+        return replace(after, speed=speed, s=s, heading=heading)
 
     def noise_draws(self, dt: float) -> NoiseDraws:
         """The noise of ``dt`` seconds: of the speed, in m/s, of the way, in m, of the yaw and the pitch, in rad, and on
@@ -290,6 +310,11 @@ class PathMotion:
         sigmas = self.speed_noise, self.distance_noise, *self.turning.tolist()
         along = [(sigma * scale, 1) for sigma in sigmas]
         return along if self.name == "line" else [*along, (1.0, 2)]
+
+    def velocity(self, state: State) -> Array:
+        """The velocity (3,) m/s of a state of one particle."""
+        F = self.path.frames(state.s)
+        return np.asarray((state.speed[:, None] * (F[:, :, 0] + _combine_columns(F[:, :, 1:], state.heading)))[0])
 
     def yaw_rate(self, state: State, dt: float) -> float:
         """Turning (rad/s) about the camera's y axis, to the right, over the last ``dt``, of one particle."""

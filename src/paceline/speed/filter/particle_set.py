@@ -16,7 +16,7 @@ from paceline.cameras import StereoRig
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
 from paceline.speed.filter.likelihood import ObservationModel, Views
-from paceline.speed.filter.motion_models import FreeMotion, PathMotion, State
+from paceline.speed.filter.motion_models import NO_DISPLACEMENT, FreeMotion, PathMotion, State
 from paceline.speed.filter.resampling import (
     JITTER_SCALE,
     RESAMPLING_SCHEMES,
@@ -49,6 +49,9 @@ class Particles(Protocol):
 
     def propagate(self, dt: float, rng: np.random.Generator) -> None:
         """Move all particles on by ``dt`` seconds."""
+
+    def displace(self, displacement: Array) -> None:
+        """Let the planes move by ``displacement`` (3,) m from the left exposure to the right one."""
 
     def mean(self) -> State:
         """The posterior mean (3), as a state of one particle."""
@@ -96,15 +99,26 @@ class Checkpoint(Protocol):
 
 
 class ParticleSet:
-    """N particles in the computer's memory: their ``state`` and ``weights``; they move by ``motion``."""
+    """N particles in the computer's memory: their ``state`` at the left exposure and ``weights``; they move by
+    ``motion``, and by ``displacement`` (3,) m until the right exposure."""
 
-    def __init__(self, rig: StereoRig, motion: PathMotion | FreeMotion, state: State, weights: Weights) -> None:
-        self.rig, self.motion = rig, motion
+    def __init__(
+        self,
+        rig: StereoRig,
+        motion: PathMotion | FreeMotion,
+        state: State,
+        weights: Weights,
+        displacement: Array = NO_DISPLACEMENT,
+    ) -> None:
+        self.rig, self.motion, self.displacement = rig, motion, displacement
         self.state, self.weights = state, weights
         self._previous_weights = weights
 
     def propagate(self, dt: float, rng: np.random.Generator) -> None:
-        self.state = self.motion.propagate(self.state, dt, rng)
+        self.state = self.motion.propagate(self.state, dt, rng, self.displacement)
+
+    def displace(self, displacement: Array) -> None:
+        self.displacement = displacement
 
     def mean(self) -> State:
         return State(*(self.weights.mean(getattr(self.state, name))[None] for name in State.__dataclass_fields__))
@@ -123,7 +137,7 @@ class ParticleSet:
         noise = rng.normal(0.0, 1.0, poses.shape) @ motion_models.cholesky_factor(covariance).T
         W = self.weights.W
         self.state = motion_models.ensemble_kalman_update(
-            self.rig, self.state, W, poses, pose + noise, covariance, self.motion
+            self.rig, self.state, W, poses, pose + noise, covariance, self.motion, self.displacement
         )
 
     def image_bounds(self) -> tuple[Array, Array]:
@@ -172,7 +186,7 @@ class ParticleSet:
         self.weights = Weights.equal(len(index))
 
     def to_host(self) -> ParticleSet:
-        return ParticleSet(self.rig, self.motion, self.state, self.weights)
+        return ParticleSet(self.rig, self.motion, self.state, self.weights, self.displacement)
 
     def checkpoint(self) -> ParticleSet:
         return self.to_host()

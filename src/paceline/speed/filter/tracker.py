@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from paceline.arrays import Floats
+from paceline.arrays import Array, Floats
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
@@ -74,6 +74,7 @@ class Tracker:
         self.model = ObservationModel(rig, grid, c)
         self.texture = ReferenceTexture(rig, grid, vehicle.left, c.reference_memory) if c.guided else None
         self.plane = plane_from_outlines(rig, vehicle, path, c.click_sigma)
+        self._compare_displaced(vehicle.displacement)
         self.candidate_paths = [] if path is None else [p.shifted(lateral_offset) for p in (path, path.reversed())]
         self._motions = candidate_motions(rig, self.candidate_paths, c)
         self.particle_set: Particles
@@ -104,6 +105,20 @@ class Tracker:
         self.particle_set = self._initialization.initialize_speed(frame, self._first, start)
         if isinstance(self.particle_set.motion, PathMotion):
             self.path = self.particle_set.motion.path
+
+    def displace(self, frame: StereoFrame) -> None:
+        """Let the planes move from the left exposure to the right one by the particles' mean velocity."""
+        if self._has_speed and frame.skew:
+            displacement = self.particle_set.motion.velocity(self.particle_set.mean()) * frame.skew
+            self._compare_displaced(displacement)
+            self.particle_set.displace(displacement)
+
+    def _compare_displaced(self, displacement: Array) -> None:
+        """Compare the two views of a plane that moves by ``displacement`` (3,) m between their exposures."""
+        rig = self.rig.displaced(displacement)
+        self.model.rig = rig
+        if self.texture is not None:
+            self.texture.rig = rig
 
     def register(self, frame: StereoFrame) -> None:
         """Move the particles by the registered position of the plane: the proposal of the weighted ensemble Kalman

@@ -48,8 +48,10 @@ def plane_from_outlines(
     """The plane that the quadrilaterals of ``vehicle`` outline, with a drawing noise of ``click_sigma`` px per corner.
 
     A front (or rear) is perpendicular to the path and a side parallel to it; otherwise the normal comes from the
-    triangulated corners, which determine it weakly at a distance, joined with a prior.
+    triangulated corners, which determine it weakly at a distance, joined with a prior. It is where the left view is
+    exposed.
     """
+    rig = rig.displaced(vehicle.displacement)
     centre = triangulate(rig, vehicle.left.mean(0), vehicle.right.mean(0))
     disparity_std = click_sigma * np.sqrt(2.0 / 4.0)
     relative = float(disparity_std * centre[2] / (rig.left.K[0, 0] * rig.baseline))

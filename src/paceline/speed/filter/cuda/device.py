@@ -31,7 +31,7 @@ from paceline.speed.filter.cuda.weights import (
     THREADS_PER_QUANTITY,
 )
 from paceline.speed.filter.likelihood import CONTRAST_FLOOR, PART_DISTANCE_CAP, ObservationModel, Views
-from paceline.speed.filter.motion_models import CoordinatedTurn, State
+from paceline.speed.filter.motion_models import NO_DISPLACEMENT, CoordinatedTurn, State
 from paceline.speed.filter.particle_set import MAX_DRAWN_PARTICLES, ParticleSet
 
 OnDevice = Any  # an array in the device's memory: Numba has no type for it
@@ -103,6 +103,7 @@ class CudaDevice:
         self._views: Views | None = None  # of those to weight
         self._parameters = 0, 0.0, 0.0  # of those to weight: parts, λ_D, λ_c
         self._pending = False
+        self._are_displaced = False  # whether particle sets have other displacements than on the device
         self._noise = 0  # numbers of it in the command buffer
         self._build_tables({})
 
@@ -149,8 +150,7 @@ class CudaDevice:
         """Build the tables of all ``particle_sets`` particle sets, by slot; all earlier commands have been executed."""
         slots = max(particle_sets, default=-1) + 1
         commands = np.zeros((slots, layout.COMMAND_SIZE))
-        knots, rigs, knot, total = [np.zeros((1, layout.KNOT_SIZE))], [np.zeros((7, 3, 3))], 1, 0
-        numbers: dict[int, int] = {}
+        knots, knot, total = [np.zeros((1, layout.KNOT_SIZE))], 1, 0
         for slot, particle_set in particle_sets.items():
             command, N = commands[slot], len(particle_set)
             is_new = slot in self._new_slots
@@ -170,16 +170,11 @@ class CudaDevice:
             command[[layout.KNOT_TABLE_INDEX, layout.KNOT_COUNT]] = knot, len(particle_set.knots)
             knots.append(particle_set.knots)
             knot += len(particle_set.knots)
-            if id(particle_set.rig) not in numbers:
-                numbers[id(particle_set.rig)] = len(rigs)
-                rigs.append(rig_numbers(particle_set.rig))
-            command[layout.RIG_INDEX] = numbers[id(particle_set.rig)]
+            command[layout.RIG_INDEX] = slot
             total += N
         self._particle_sets = {slot: weakref.ref(particle_set) for slot, particle_set in particle_sets.items()}
-        self._knots, self._rigs = (
-            DeviceArray(cuda.to_device(np.concatenate(knots))),
-            DeviceArray(cuda.to_device(np.stack(rigs))),
-        )
+        self._knots = DeviceArray(cuda.to_device(np.concatenate(knots)))
+        self._upload_rigs(particle_sets)
         self._allocate_commands(commands, commands.size + 1)
         self._observations = _TransferBuffer.of(layout.HEADER_SIZE + slots * layout.OBSERVATION_SIZE, np.float64)
         counts = commands[:, layout.PARTICLE_COUNT]
@@ -219,6 +214,19 @@ class CudaDevice:
         self.commands[particle_set.slot, command] = self.commands[particle_set.slot, layout.IS_ACTIVE] = 1
         self._pending, self._host_copy, particle_set.moments = True, None, None
 
+    def displace(self, particle_set: CudaParticleSet) -> None:
+        """Enqueue that ``particle_set`` has another displacement, after the commands already enqueued."""
+        if self.commands[particle_set.slot, layout.IS_ACTIVE]:
+            self.execute()
+        self.commands[particle_set.slot, layout.IS_ACTIVE] = 1  # its maps follow from it
+        self._pending = self._are_displaced = True
+
+    def _upload_rigs(self, particle_sets: dict[int, CudaParticleSet]) -> None:
+        rigs = np.zeros((max(particle_sets, default=0) + 1, 7, 3, 3))
+        for slot, particle_set in particle_sets.items():
+            rigs[slot] = rig_numbers(particle_set.rig, particle_set.displacement)
+        self._rigs, self._are_displaced = DeviceArray(cuda.to_device(rigs)), False
+
     def store_noise(self, noise: Array) -> int:
         """Append ``noise`` to the command buffer; returns its index."""
         offset = self.commands.size + self._noise
@@ -250,6 +258,8 @@ class CudaDevice:
             self._to_restore = []
         commands = self.commands
         self._command_buffer.upload(commands.size + self._noise)
+        if self._are_displaced:
+            self._upload_rigs(self._occupied_slots())
         if commands[:, layout.RESAMPLE].any():
             self._cumulate()
         if commands[:, layout.IS_ACTIVE].any():
@@ -431,8 +441,10 @@ def _write_reference(observation: Array, model: ObservationModel) -> None:
     observation[layout.REFERENCE_FEATURES : layout.REFERENCE_FEATURES + reference.size] = reference.reshape(-1)
 
 
-def rig_numbers(rig: StereoRig) -> Array:
-    """The matrices of ``rig`` for the kernels of `motion`: (7, 3, 3)."""
-    shifts = np.stack([rig.t, rig.right.K @ rig.t, np.zeros(3)])
+def rig_numbers(rig: StereoRig, displacement: Array = NO_DISPLACEMENT) -> Array:
+    """The matrices of ``rig`` for the kernels of `motion`, of planes that move by ``displacement`` (3,) m between the
+    exposures: (7, 3, 3)."""
+    apparent = rig.displaced(displacement).t
+    shifts = np.stack([rig.t, rig.right.K @ apparent, apparent])
     across = rig.right.K @ rig.R @ rig.left.K_inv
     return np.stack([rig.left.K, rig.left.K_inv, rig.right.K, rig.right.K_inv, rig.R, across, shifts])

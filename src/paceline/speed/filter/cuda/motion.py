@@ -105,10 +105,10 @@ def move(rows, q, rig, dR, shift):
     plane = cuda.local.array(3, np.float64)
     product, dR_right = cuda.local.array((3, 3), np.float64), cuda.local.array((3, 3), np.float64)
     quad, transferred = cuda.local.array((4, 2), np.float64), cuda.local.array((4, 2), np.float64)
-    R, t, d = rig[R_RIG], rig[SHIFTS, 0], rows[layout.DISTANCE_ROW, q]
+    R, t, apparent, d = rig[R_RIG], rig[SHIFTS, 0], rig[SHIFTS, 2], rows[layout.DISTANCE_ROW, q]
     _fetch(rows, layout.NORMAL_ROW, q, n)
     _apply(R, n, n_right)
-    d_right = d + (n_right[0] * t[0] + n_right[1] * t[1] + n_right[2] * t[2])
+    d_right = d + (n_right[0] * apparent[0] + n_right[1] * apparent[1] + n_right[2] * apparent[2])
     _multiply(R, dR, product)
     _multiply_transposed(product, R, dR_right)
     _apply(R, shift, shift_right)

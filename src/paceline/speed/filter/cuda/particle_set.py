@@ -54,6 +54,8 @@ class Device(Protocol):
 
     def enqueue(self, particle_set: CudaParticleSet, command: int) -> None: ...
 
+    def displace(self, particle_set: CudaParticleSet) -> None: ...
+
     def store_noise(self, noise: Array) -> int: ...
 
     def weight(self, particle_set: CudaParticleSet, model: ObservationModel, views: Views) -> None: ...
@@ -72,7 +74,7 @@ class CudaParticleSet:
         self.device = device
         self.slot, self.first = slot, first  # its row of the tables, and its first column of the pool
         self.rig: StereoRig = host.rig
-        self.motion = host.motion
+        self.motion, self.displacement = host.motion, host.displacement
         self.free = isinstance(host.motion, FreeMotion)
         self.knots = knots_of(host.motion)
         self.moments: Moments | None = None
@@ -94,6 +96,10 @@ class CudaParticleSet:
         command[layout.TIME_STEP] = dt
         if isinstance(self.motion, PathMotion):
             command[layout.DRIFT_STD : layout.DRIFT_STD + 2] = self.motion.drift * np.sqrt(dt / ZHU_FRAME_INTERVAL_S)
+
+    def displace(self, displacement: Array) -> None:
+        self.displacement = displacement
+        self.device.displace(self)
 
     def ensemble_kalman_update(self, pose: Array, covariance: Array, rng: np.random.Generator) -> None:
         m = len(pose)
@@ -187,7 +193,7 @@ class CudaParticleSet:
         return self.checkpoint().to_host()
 
     def checkpoint(self) -> ParticleCheckpoint:
-        return ParticleCheckpoint(self.rig, self.motion, self.device.download(self))
+        return ParticleCheckpoint(self.rig, self.motion, self.displacement, self.device.download(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,11 +202,13 @@ class ParticleCheckpoint:
 
     rig: StereoRig
     motion: PathMotion | FreeMotion
+    displacement: Array
     rows: Array
 
     def to_host(self) -> ParticleSet:
         weights = Weights(self.rows[layout.STATE_ROW_COUNT].copy())
-        return ParticleSet(self.rig, self.motion, state_of(self.rows[: layout.STATE_ROW_COUNT]), weights)
+        state = state_of(self.rows[: layout.STATE_ROW_COUNT])
+        return ParticleSet(self.rig, self.motion, state, weights, self.displacement)
 
 
 _FIELDS = tuple(  # rows and shape of each of a particle's fields
