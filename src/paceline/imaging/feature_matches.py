@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.arrays import Array, Image, Mask, to_8_bit
+from paceline.arrays import Array, Image, Indices, Mask, to_8_bit
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance
 from paceline.imaging.point_tracking import track_forth_and_back
@@ -76,17 +76,77 @@ def match_views(recording: StereoRecording) -> tuple[Matches, Matches]:
     return static or NO_MATCHES, Matches(*values)
 
 
+@dataclass(frozen=True, eq=False)
+class MovingFeatures:
+    """Features of what moves at a ``time`` (s) in the ``left`` and the ``right`` view: places (N, 2) px and descriptors
+    (N, 128) of each."""
+
+    time: float
+    left: tuple[Array, Descriptors]
+    right: tuple[Array, Descriptors]
+
+
+def moving_features(detector: cv2.SIFT, recording: StereoRecording, count: int) -> list[MovingFeatures]:
+    """The features of up to ``count`` instants of the beginning of ``recording`` at which something moves."""
+    found: list[MovingFeatures] = []
+    for number, (before, frame, after) in enumerate(_triples(recording)):
+        if number % velocity_step(recording):
+            continue
+        views = zip(_views(before), _views(frame), _views(after), strict=True)
+        left, right = (_features(detector, b, _moving(a, b, c)[1]) for a, b, c in views)
+        if len(left[0]) or len(right[0]):
+            found.append(MovingFeatures(frame.time, left, right))
+        if len(found) == count:
+            break
+    return found
+
+
+def left_motion(before: MovingFeatures, f: MovingFeatures, after: MovingFeatures) -> tuple[Indices, Array, Array]:
+    """Which left features of ``f`` are found ``before`` and ``after`` (n,), their velocities (n, 2) px/s and growths
+    (n,) 1/s."""
+    left, described = f.left
+    places = []
+    for other in (before, after):
+        i, j = match_descriptors(described, other.left[1], MAX_RATIO)
+        place = np.full_like(left, np.nan)
+        place[i] = other.left[0][j]
+        places.append(place)
+    behind, ahead = left - places[0], places[1] - left
+    rows = np.flatnonzero(_is_steady(behind, ahead))
+    return rows, *velocity_and_growth(behind[rows], ahead[rows], 0.5 * (after.time - before.time))
+
+
+def _is_steady(behind: Array, ahead: Array) -> Mask:
+    """Which points (N,), that move by ``behind`` and ``ahead`` (N, 2) px, move on, and much alike before and after."""
+    shorter = np.minimum(np.linalg.norm(behind, axis=1), np.linalg.norm(ahead, axis=1))
+    total = np.linalg.norm(ahead + behind, axis=1)
+    is_uniform = np.linalg.norm(ahead - behind, axis=1) < MAX_ACCELERATION_SHARE * total
+    return np.asarray(is_uniform & (shorter > MIN_DISPLACEMENT_PX))
+
+
+def velocity_step(recording: StereoRecording) -> int:
+    """Frames from one to the other of those from which a velocity is taken."""
+    return max(1, round(VELOCITY_STEP_S / recording.pairing.interval))
+
+
 def _instants(recording: StereoRecording) -> Iterator[tuple[StereoFrame, StereoFrame, StereoFrame]]:
     """Triples of frames, evenly spread over the beginning of ``recording`` and evenly spaced in time."""
-    interval = recording.pairing.interval
-    step = max(1, round(VELOCITY_STEP_S / interval))
-    looked_at = min(len(recording), int(MAX_SECONDS / interval))
-    stride = max(1, (looked_at - 2 * step) // MAX_INSTANTS)
+    stride = max(1, (_looked_at(recording) - 2 * velocity_step(recording)) // MAX_INSTANTS)
+    return islice(_triples(recording), 0, None, stride)
+
+
+def _triples(recording: StereoRecording) -> Iterator[tuple[StereoFrame, StereoFrame, StereoFrame]]:
+    """Each frame of the beginning of ``recording`` with those from which its velocities are taken."""
+    step = velocity_step(recording)
     window: deque[StereoFrame] = deque(maxlen=2 * step + 1)
-    for count, frame in enumerate(islice(recording.frames(), looked_at)):
+    for frame in islice(recording.frames(), _looked_at(recording)):
         window.append(frame)
-        if len(window) == 2 * step + 1 and (count - 2 * step) % stride == 0:
+        if len(window) == 2 * step + 1:
             yield window[0], window[step], window[2 * step]
+
+
+def _looked_at(recording: StereoRecording) -> int:
+    return min(len(recording), int(MAX_SECONDS / recording.pairing.interval))
 
 
 def _views(frame: StereoFrame) -> tuple[Image, Image]:
@@ -139,9 +199,7 @@ def _match_moving(
         places.append(place)
     rows = (left[:, None] == pairs.left[None]).all(-1).argmax(0) if len(left) else np.zeros(0, np.int64)
     behind, ahead = left[rows] - places[0][rows], places[1][rows] - left[rows]
-    shorter = np.minimum(np.linalg.norm(behind, axis=1), np.linalg.norm(ahead, axis=1))
-    total = np.linalg.norm(ahead + behind, axis=1)
-    steady = (np.linalg.norm(ahead - behind, axis=1) < MAX_ACCELERATION_SHARE * total) & (shorter > MIN_DISPLACEMENT_PX)
+    steady = _is_steady(behind, ahead)
     dt = 0.5 * (after.time - before.time)
     return Matches(pairs.left[steady], pairs.right[steady], *velocity_and_growth(behind[steady], ahead[steady], dt))
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import cv2
 import numpy as np
 
@@ -12,6 +15,9 @@ from paceline.geometry import triangulate
 SCALE_CANDIDATES = np.geomspace(0.72, 1.4, 23)  # of the template from the first frame to the second
 MAX_SPEED_MPS = 60.0  # of a vehicle whose template is looked for
 MIN_OUTLINE_SIZE_M = 1.5  # least root of an outline's area
+ALIGNMENT_SMOOTHING_PX = 1.0
+RIM_SHARE = 0.05  # of an outline's width and height that is not aligned
+MAX_ALIGNMENT_SHARE = 0.25  # by which an alignment may move a corner, as a share of the outline's shorter side
 
 
 def displacement_between_exposures(rig: StereoRig, left: Array, right: Array, skew: float, motion: Array) -> Array:
@@ -33,6 +39,39 @@ def motion_by_depth(rig: StereoRig, first: Image, second: Image, left: Array, dt
     shift, growth = match_template(first, second, left, MAX_SPEED_MPS * abs(dt) * size / MIN_OUTLINE_SIZE_M)
     before, after = rig.left.rays(np.stack([left.mean(0), left.mean(0) + shift]))
     return np.asarray((after / growth - before) / dt)
+
+
+def followed(pictures: Sequence[Image], outline: Array) -> Array:
+    """The ``outline`` (4, 2) px of the first of the ``pictures`` (H, W) in the last one.
+
+    It is followed from each to the next: its template is matched, and then aligned by an affine map.
+    """
+    for first, second in pairwise(pictures):
+        reach = 2.0 * float(np.ptp(outline, axis=0).max())
+        shift, growth = match_template(first, second, outline, reach)
+        outline = _aligned(first, second, outline, outline.mean(0) + shift + growth * (outline - outline.mean(0)))
+    return outline
+
+
+def _aligned(first: Image, second: Image, outline: Array, expected: Array) -> Array:
+    """The ``outline`` (4, 2) px of the ``first`` picture in the ``second`` one, by the greatest correlation near the
+    ``expected`` one; that where none is found."""
+    rim = RIM_SHARE * np.ptp(outline, axis=0)  # which may show the background
+    corner = np.maximum(np.ceil(outline.min(0) + rim).astype(int), 0)
+    end = np.floor(outline.max(0) - rim).astype(int) + 1
+    template, other = (cv2.GaussianBlur(picture, (0, 0), ALIGNMENT_SMOOTHING_PX) for picture in (first, second))
+    template, everywhere = template[corner[1] : end[1], corner[0] : end[0]], np.full(other.shape, 255, np.uint8)
+    start = cv2.getAffineTransform((outline - corner)[:3].astype(np.float32), expected[:3].astype(np.float32))
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-5)
+    try:
+        affine = cv2.findTransformECC(
+            template, other, start.astype(np.float32), cv2.MOTION_AFFINE, criteria, everywhere, 1
+        )[1]
+    except cv2.error:  # the iteration diverges
+        return expected
+    aligned = (outline - corner) @ affine[:, :2].T + affine[:, 2]
+    distance = np.linalg.norm(aligned - expected, axis=1).max()
+    return np.asarray(aligned) if distance < MAX_ALIGNMENT_SHARE * np.ptp(expected, axis=0).min() else expected
 
 
 def match_template(first: Image, second: Image, quad: Array, reach: float) -> tuple[Array, float]:

@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from paceline.arrays import Array, Indices
+from paceline.arrays import Array, Image, Indices
 from paceline.blas import on_one_blas_thread
 from paceline.cameras import VIEW_NAMES, Camera, Quantity, StereoRig
 from paceline.documents.loading import Clip, VehicleDocument, require_same_part
 from paceline.errors import UnusableInput
 from paceline.imaging.camera_rotation import MIN_KNOWN_SHARE, CameraRotations, estimate_rotations, expected_rotations
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
-from paceline.imaging.feature_matches import match_views
-from paceline.imaging.outline_motion import displacement_between_exposures, motion_by_depth
+from paceline.imaging.feature_matches import match_views, velocity_step
+from paceline.imaging.frame_lag import estimate_lag
+from paceline.imaging.outline_motion import displacement_between_exposures, followed, motion_by_depth
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.verdicts import Message, message
@@ -36,13 +37,15 @@ class RecordedCameras:
     """A ``clip`` and its ``recording`` as seen by cameras that do not turn, each frame at its time.
 
     ``rotations`` are those of the cameras as they recorded, and ``fit`` is what matches between the views tell of the
-    rig and of the time between their exposures.
+    rig and of the time between their exposures. ``lag`` (s) is that by which two videos were paired anew, 0 where they
+    were not.
     """
 
     clip: Clip
     recording: StereoRecording
     rotations: CameraRotations
     fit: EpipolarFit
+    lag: float = 0.0
 
     def as_recorded(self, frame: Indices, pixels: Array, side: int) -> Array:
         """Where ``pixels`` (N, …, 2) of the frames (N,) are in the pictures as recorded, free of distortion."""
@@ -93,6 +96,7 @@ class RecordedCameras:
 def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress | None = None) -> RecordedCameras:
     """What ``recording`` tells of the cameras of ``clip``, and both corrected for it.
 
+    Two videos of which nothing is stated are paired anew where what moves lags in one of them.
     Cameras that travel, as on a vehicle, are left as they are. Raises UnusableInput for a ``drawn_on`` that is no
     frame, an ``offset`` by which other frames belong together, or outlines that are of no one part of a vehicle.
     """
@@ -102,6 +106,12 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
             f"{clip.path}: offset: expected at most the {interval:.3g} s between frames, as those of about the same "
             f"time in the files belong together, found {clip.offset.value:g}"
         )
+    lag = 0.0
+    if clip.offset is None and all(source.times is not None for source in recording.sources):
+        lag = estimate_lag(recording)
+    if lag:
+        recorded, recording = recording, recording.with_lag(lag)
+        clip = with_outlines_in_pairs(clip, recorded, recording)
     rig = replace(clip.rig, left=with_readout(clip.rig.left), right=with_readout(clip.rig.right))
     rotations = estimate_rotations(recording, reference_frame(clip, recording), progress)
     vectors = expected_rotations(rotations) if rotations.is_stationary else np.zeros_like(rotations.vectors)
@@ -111,9 +121,10 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     else:
         expected = clip.offset or Quantity(0.0, interval / 2, "assumed")
         fit = fit_epipolar_residuals(rig, *match_views(steady), expected, readout_difference_std(rig))
-    offset = clip.offset or expected_offset(fit.offset, interval)
+    offset = clip.offset or (fit.offset if lag and fit.offset else expected_offset(fit.offset, interval))
     steady = steady.corrected(offset.value, steady.rotations)
-    cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit)
+    offset = replace(offset, value=lag + offset.value)
+    cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit, lag)
     clip = with_displacements(with_steady_outlines(cameras), steady)
     return replace(cameras, clip=clip)
 
@@ -176,6 +187,38 @@ def with_steady_outlines(cameras: RecordedCameras) -> Clip:
             vehicle = replace(vehicle, left=left, right=right)
         vehicles.append(vehicle)
     return replace(clip, vehicles=vehicles)
+
+
+def with_outlines_in_pairs(clip: Clip, recorded: StereoRecording, paired: StereoRecording) -> Clip:
+    """The clip with the outlines of its vehicles, each drawn on frames that were ``recorded`` as a pair, in the frames
+    that are ``paired``.
+
+    That is the left frame, or the next one that has a partner, and its partner: each outline is followed there.
+    """
+    vehicles = []
+    for vehicle in clip.vehicles:
+        before = int(np.searchsorted(recorded.indices, vehicle.frame))
+        after = int(np.searchsorted(paired.indices, vehicle.frame))
+        if before < len(recorded) and recorded.indices[before] == vehicle.frame and after < len(paired):
+            pairs = zip(
+                recorded.pairing.numbers[:, before].tolist(), paired.pairing.numbers[:, after].tolist(), strict=True
+            )
+            outlines = [
+                followed(pictures_between(recorded, side, *numbers), outline)
+                for side, (outline, numbers) in enumerate(zip((vehicle.left, vehicle.right), pairs, strict=True))
+            ]
+            frame = int(paired.indices[after])
+            vehicle = replace(vehicle, frame=frame, left=outlines[0], right=outlines[1])
+        vehicles.append(vehicle)
+    return replace(clip, vehicles=vehicles)
+
+
+def pictures_between(recording: StereoRecording, side: int, first: int, last: int) -> list[Image]:
+    """Pictures of one view from the ``first`` number in its file to the ``last``, at velocity steps or less."""
+    low, high = min(first, last), max(first, last)
+    numbers = list(range(low, high, velocity_step(recording)))
+    pictures = [p for p in recording.view(side, [*numbers, high]) if p is not None]
+    return pictures if first < last else pictures[::-1]
 
 
 def with_displacements(clip: Clip, recording: StereoRecording) -> Clip:

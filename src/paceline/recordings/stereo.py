@@ -7,7 +7,7 @@ gives the times at which they were taken. Frames left out and suspected faults a
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -57,6 +57,11 @@ class Pairing:
     skews: Array
     interval: float
     notices: list[Message] = field(default_factory=list)
+
+    @property
+    def numbers(self) -> Indices:
+        """The numbers (2, N) of the frames in both views."""
+        return np.stack([self.left, self.right])
 
 
 class StereoSource(Protocol):
@@ -130,6 +135,22 @@ class StereoRecording:
         times, skews = self.pairing.times + offset / 2, self.pairing.skews + offset
         pairing = replace(self.pairing, times=times, skews=skews)
         return StereoRecording(self.rig, *self._sources, pairing, rotations)
+
+    def with_lag(self, lag: float) -> StereoRecording:
+        """Two videos paired anew, the right exposures ``lag`` s later than their time stamps say.
+
+        Raises UnusableInput where no frames are then of about the same time.
+        """
+        left, right = (source.times for source in self._sources)
+        assert left is not None and right is not None
+        pairing = pair_by_time(left, right + lag, self.pairing.interval / 2)
+        return StereoRecording(self.rig, *self._sources, pairing)
+
+    def view(self, side: int, numbers: Sequence[int]) -> Iterator[Image | None]:
+        """Pictures of one view, free of distortion, by their ``numbers`` in its file (increasing); None for one that
+        cannot be decoded."""
+        for image in self._sources[side].read(numbers):
+            yield None if image is None else self.rig.cameras[side].undistort_image(image)
 
     @property
     def sources(self) -> tuple[ImageSource, ImageSource]:

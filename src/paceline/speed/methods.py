@@ -136,6 +136,7 @@ def measure_as_seen(
         notices=[*result.notices, *cameras.notices],
         configuration=named(method) | result.configuration,
         cameras=camera_summary(cameras, result.exposures),
+        lag=cameras.lag,
     )
 
 

@@ -162,6 +162,7 @@ class ClipResult:
     seconds: float = float("nan")  # processing time
     exposures: dict[str, ExposureEstimate] = field(default_factory=dict)  # by name, what vehicles determine of them
     cameras: dict[str, object] = field(default_factory=dict)  # what is not taken as ideal, as in summary.json
+    lag: float = 0.0  # s, by which the right one of two videos was found to lag when it was paired with the left one
 
     def to_pandas(self) -> Any:
         """A pandas.DataFrame with a row per vehicle: the keys of summary.json but for the notices. Raises UnusableInput

@@ -76,6 +76,7 @@ def write_overlay(
     layers = [_Layer(m, _parse_color(colors[m.vehicle])) for m in result.measurements]
     overlay = Overlay({layer.track.vehicle: [] for layer in layers})
     last_still = max((int(layer.track.frame[row]) for layer in layers for row in layer.still_rows), default=-1)
+    recording = recording.with_lag(result.lag) if result.lag else recording
     with nullcontext() if file is None else _video(file, np.asarray(recording.times, float)) as video:
         for frame in recording:
             if video is None and frame.index > last_still:
