@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.stats import f
+from scipy.stats import f, norm
 
 from paceline.speed.acceptance import (
     MAX_DEVIATION_SIGMA,
     MIN_TRACK_CONTRAST_GREY,
     apply_tolerance,
     check_interval,
+    check_motion,
     check_outline,
     check_refined,
     check_residuals,
@@ -103,6 +104,36 @@ def test_a_motion_inconsistent_in_the_first_frames_is_rejected(hidden: int, reas
     r = refined([0.1] * hidden + [0.9] * 20)
     assert check_residuals(r).startswith(reason) and bool(check_residuals(r)) == bool(reason)
     assert frames_to_refit(r) == (10 + hidden // 2 if reason else 20 + hidden)
+
+
+@given(along=st.floats(-20.0, 20.0), across=st.floats(0.0, 20.0), std=st.floats(0.01, 5.0), frame=st.integers(0, 8))
+def test_a_motion_is_rejected_where_no_vehicle_makes_it_with_95_percent_certainty(
+    along: float, across: float, std: float, frame: int
+) -> None:
+    mean = np.zeros((9, 2))
+    mean[frame] = along, across
+    moved = cast(RefinedMotion, SimpleNamespace(accelerations=lambda: (mean, np.full((9, 2), std))))
+    beyond = [norm.cdf(v / std) for v in (-along - 9.0, along - 6.0, across - 9.81)]
+    if abs(max(beyond) - 0.95) > 1e-3:
+        assert (check_motion(moved).code == "motion_implausible") == (max(beyond) > 0.95)
+
+
+def test_accelerations_have_the_uncertainty_of_the_parameters() -> None:
+    """Of linear ones it is that of the parameters."""
+    by_parameter = np.random.default_rng(5).normal(size=(2, 4, 2))
+    linear = SimpleNamespace(steps=np.array([1e-3, 1e-4]), accelerations=lambda t: np.tensordot(t, by_parameter, 1))
+    covariance = np.array([[0.2, 0.1], [0.1, 0.5]])
+    r = replace(
+        refined([0.9] * 5),
+        trajectory=cast(Trajectory, linear),
+        theta=np.array([3.0, -1.0]),
+        covariance=covariance,
+        model_covariance=np.zeros((2, 2)),
+        systematic_covariance=np.full((2, 2), np.nan),
+    )
+    mean, std = r.accelerations()
+    np.testing.assert_allclose(mean, 3.0 * by_parameter[0] - by_parameter[1])
+    np.testing.assert_allclose(std**2, np.einsum("nfa,nm,mfa->fa", by_parameter, covariance, by_parameter))
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,19 @@ def test_distance_is_the_integral_of_the_speed():
     assert v[0] == pytest.approx(15.0) and np.ptp(np.diff(v)) > 1e-4  # it does change its acceleration
 
 
+def test_accelerations_are_second_differences_of_the_places():
+    t = trajectory_on(curved_path(), times=tuple(np.linspace(0.0, 1.2, 13)))
+    theta = start_of(t)
+    theta[PARAMETER_INDEX["acceleration"]], theta[PARAMETER_INDEX["curvature"]] = -2.5, 1 / 60
+    dense = trajectory_on(curved_path(), times=tuple(np.linspace(0.0, 1.2, 1201)))
+    velocity = np.diff(dense.centres(theta), axis=0) / 0.001
+    acceleration = np.diff(velocity, axis=0)[49::100] / 0.001  # midway between the frames
+    direction = velocity[49::100] / np.linalg.norm(velocity[49::100], axis=1)[:, None]
+    along = (acceleration * direction).sum(1)
+    across = np.linalg.norm(acceleration - along[:, None] * direction, axis=1)
+    np.testing.assert_allclose(t.accelerations(theta), np.column_stack([along, across]), atol=0.05)
+
+
 @pytest.mark.parametrize("driver", [DriverSettings(), DriverSettings(braking=5.0, braking_time=0.8)])
 def test_varying_accelerations_have_the_stated_covariance(driver):
     """Accelerations drawn from the prior have the stated deviation, and the stated correlation over time."""

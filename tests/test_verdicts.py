@@ -30,6 +30,7 @@ BEGINNINGS = {
     "calibration_inconsistent_jointly": "calibration",
     "calibration_differs_between_vehicles": "calibration",
     "speed_implausible": "implausible",
+    "motion_implausible": "implausible",
     "path_deviation_implausible": "implausible",
     "outline_inconsistent": "outline",
     "appearance_lost_from_start": "unlike itself",

@@ -136,6 +136,11 @@ _REJECTION_ROWS = {
         "Check that both views show the same vehicle and the same road line, and that `rate` or the time stamps are "
         "right.",
     ),
+    "motion_implausible": (
+        "implausible: the vehicle {motion} with {acceleration:.1f} ± {std:.1f} m/s² (limit {max_acceleration:g})",
+        "Check that no pictures are missing, repeated or out of order and that the time stamps are right, and look in "
+        "the overlay whether the outline stays on the vehicle.",
+    ),
     "path_deviation_implausible": (
         "implausible: the track deviates from the path by {deviation:.1f} σ of ordinary driving (limit "
         "{max_deviation:g}), on a region with a contrast of {contrast:.1f} grey levels (at least {min_contrast:g} "
@@ -309,6 +314,14 @@ _WARNING_ROWS = {
     ),
     "frames_unmatched": ("{view}: {frames} left out, without a {other} frame {match}", _PAIRING_ADVICE),
     "frames_missing": ("{gap} instead of {usual_s:.3f} s", ""),
+    "frames_missing_estimated": (
+        "by what moves in them, frames are missing of which no file tells: {gaps}; the times are corrected for it",
+        "Check why the recorder loses frames, or state when each was taken in times.csv.",
+    ),
+    "frames_out_of_order": (
+        "by what moves in them, {frames} not where taken in the order of the recording, and left out",
+        "Check the names or the numbers of the pictures.",
+    ),
     "frames_repeated": (
         "{source}: {frames} a copy of the frame before",
         "Check the frame rate of the recorder: it may repeat frames to reach it.",

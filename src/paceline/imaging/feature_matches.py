@@ -68,7 +68,7 @@ def match_views(recording: StereoRecording) -> tuple[Matches, Matches]:
     moving: list[Matches] = [NO_MATCHES]
     static: Matches | None = None
     for before, frame, after in _instants(recording):
-        regions = [_moving(a, b, c) for a, b, c in zip(_views(before), _views(frame), _views(after), strict=True)]
+        regions = [_moving(a, b, c) for a, b, c in zip(views(before), views(frame), views(after), strict=True)]
         if static is None:
             static = _match_static(detector, rig, frame, [~_grown(r) for r in regions])
         moving.append(_match_moving(detector, rig, (before, frame, after), regions))
@@ -92,8 +92,8 @@ def moving_features(detector: cv2.SIFT, recording: StereoRecording, count: int) 
     for number, (before, frame, after) in enumerate(_triples(recording)):
         if number % velocity_step(recording):
             continue
-        views = zip(_views(before), _views(frame), _views(after), strict=True)
-        left, right = (_features(detector, b, _moving(a, b, c)[1]) for a, b, c in views)
+        triples = zip(views(before), views(frame), views(after), strict=True)
+        left, right = (masked_features(detector, b, _moving(a, b, c)[1]) for a, b, c in triples)
         if len(left[0]) or len(right[0]):
             found.append(MovingFeatures(frame.time, left, right))
         if len(found) == count:
@@ -149,20 +149,30 @@ def _looked_at(recording: StereoRecording) -> int:
     return min(len(recording), int(MAX_SECONDS / recording.pairing.interval))
 
 
-def _views(frame: StereoFrame) -> tuple[Image, Image]:
+def views(frame: StereoFrame) -> tuple[Image, Image]:
     return frame.left, frame.right
 
 
 def _moving(before: Image, image: Image, after: Image) -> tuple[Mask, Mask, Mask]:
     """Where something moves in three images of one view, each (H, W), reduced."""
     first, middle, last = (_reduced(i) for i in (before, image, after))
-    earlier, later = (np.abs(cv2.GaussianBlur(middle - other, (0, 0), MOTION_BLUR_PX)) for other in (first, last))
-    masks = []
-    for difference in (earlier, np.minimum(earlier, later), later):
-        noise = float(np.median(difference[::NOISE_STEP_PX, ::NOISE_STEP_PX])) / 0.6745
-        moving = (difference > max(MOTION_SIGMA * noise, MIN_MOTION_GREY)).astype(np.uint8)
-        masks.append(cv2.morphologyEx(moving, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
-    return masks[0], masks[1], masks[2]
+    earlier, later = _difference(middle, first), _difference(middle, last)
+    return _exceeds_noise(earlier), _exceeds_noise(np.minimum(earlier, later)), _exceeds_noise(later)
+
+
+def motion_mask(image: Image, other: Image) -> Mask:
+    """Where something moves between two images (H, W) of one view, reduced."""
+    return _exceeds_noise(_difference(_reduced(image), _reduced(other)))
+
+
+def _difference(image: Image, other: Image) -> Image:
+    return np.asarray(np.abs(cv2.GaussianBlur(image - other, (0, 0), MOTION_BLUR_PX)))
+
+
+def _exceeds_noise(difference: Image) -> Mask:
+    noise = float(np.median(difference[::NOISE_STEP_PX, ::NOISE_STEP_PX])) / 0.6745
+    moving = (difference > max(MOTION_SIGMA * noise, MIN_MOTION_GREY)).astype(np.uint8)
+    return np.asarray(cv2.morphologyEx(moving, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
 
 
 def _reduced(image: Image) -> Image:
@@ -187,12 +197,12 @@ def _match_moving(
 ) -> Matches:
     """Matches of the middle one of three ``frames``, with the velocities by the frames before and after."""
     before, frame, after = frames
-    left, descriptors = _features(detector, frame.left, regions[0][1])
-    right, described = _features(detector, frame.right, regions[1][1])
+    left, descriptors = masked_features(detector, frame.left, regions[0][1])
+    right, described = masked_features(detector, frame.right, regions[1][1])
     pairs = _match_views(rig, frame, (left, descriptors), (right, described))
     places = []
     for other, mask in ((before, regions[0][0]), (after, regions[0][2])):
-        found, described = _features(detector, other.left, mask)
+        found, described = masked_features(detector, other.left, mask)
         i, j = match_descriptors(descriptors, described, MAX_RATIO)
         place = np.full_like(left, np.nan)
         place[i] = found[j]
@@ -218,7 +228,7 @@ def velocity_and_growth(behind: Array, ahead: Array, dt: float) -> tuple[Array, 
 def _match_static(detector: cv2.SIFT, rig: StereoRig, frame: StereoFrame, masks: list[Mask]) -> Matches:
     """Matches between the two views of ``frame`` where nothing moves; features are detected in the reduced pictures."""
     found = []
-    for image, mask in zip(_views(frame), masks, strict=True):
+    for image, mask in zip(views(frame), masks, strict=True):
         places, descriptors = detect_features(detector, _reduced(image), mask.astype(np.uint8))
         found.append((PICTURE_REDUCTION * places + (PICTURE_REDUCTION - 1) / 2, descriptors))
     return _match_views(rig, frame, *found)
@@ -228,18 +238,26 @@ def _match_views(
     rig: StereoRig, frame: StereoFrame, of_left: tuple[Array, Descriptors], of_right: tuple[Array, Descriptors]
 ) -> Matches:
     """Matches between the features of the two views of ``frame``, refined to sub-pixels, with velocities of zero."""
+    _, left, right = match_pair(rig, frame, of_left, of_right)
+    return Matches(left, right, np.zeros_like(left), np.zeros(len(left)))
+
+
+def match_pair(
+    rig: StereoRig, frame: StereoFrame, of_left: tuple[Array, Descriptors], of_right: tuple[Array, Descriptors]
+) -> tuple[Indices, Array, Array]:
+    """Which features (N,) of the left view of ``frame`` match, and the places (N, 2) px in both views, refined to
+    sub-pixels in the right one."""
     (left, described), (right, described_right) = of_left, of_right
     i, j = match_descriptors(described, described_right, MAX_RATIO)
     near = np.abs(epipolar_distance(rig, left[i], right[j])) < MAX_EPIPOLAR_PX
-    left, right = left[i][near], right[j][near]
+    i, right = i[near], right[j][near]
     pictures = to_8_bit(frame.left), to_8_bit(frame.right)
-    refined, found = track_forth_and_back(*pictures, left, right, 0, REFINEMENT_PRECISION_PX, MAX_MATCH_RETURN_PX)
+    refined, found = track_forth_and_back(*pictures, left[i], right, 0, REFINEMENT_PRECISION_PX, MAX_MATCH_RETURN_PX)
     found &= np.linalg.norm(refined - right, axis=1) < MAX_REFINEMENT_PX
-    still = np.zeros((int(found.sum()), 2))
-    return Matches(left[found], refined[found], still, still[:, 0])
+    return i[found], left[i][found], refined[found]
 
 
-def _features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array, Descriptors]:
+def masked_features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array, Descriptors]:
     """Features of ``image`` where the reduced ``mask`` is set, region by region: places (n, 2) px and descriptors
     (n, 128)."""
     grown = _with_margin(mask)

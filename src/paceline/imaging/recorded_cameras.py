@@ -21,9 +21,10 @@ from paceline.imaging.camera_rotation import MIN_KNOWN_SHARE, CameraRotations, e
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
 from paceline.imaging.feature_matches import match_views, velocity_step
 from paceline.imaging.frame_lag import estimate_lag
+from paceline.imaging.frame_times import FrameTimes, estimate_frame_times
 from paceline.imaging.outline_motion import displacement_between_exposures, followed, motion_by_depth
 from paceline.progress import Progress
-from paceline.recordings.stereo import StereoFrame, StereoRecording
+from paceline.recordings.stereo import StereoFrame, StereoRecording, counted_frames
 from paceline.verdicts import Message, message
 
 # Readout of a camera whose shutter nothing is said of: of ordinary rolling shutters it is 8 to 30 ms, of global ones 0
@@ -38,7 +39,7 @@ class RecordedCameras:
 
     ``rotations`` are those of the cameras as they recorded, and ``fit`` is what matches between the views tell of the
     rig and of the time between their exposures. ``lag`` (s) is that by which two videos were paired anew, 0 where they
-    were not.
+    were not. ``frame_times`` say when the frames of both views were taken, where that is not as stated.
     """
 
     clip: Clip
@@ -46,6 +47,7 @@ class RecordedCameras:
     rotations: CameraRotations
     fit: EpipolarFit
     lag: float = 0.0
+    frame_times: FrameTimes | None = None
 
     def as_recorded(self, frame: Indices, pixels: Array, side: int) -> Array:
         """Where ``pixels`` (N, …, 2) of the frames (N,) are in the pictures as recorded, free of distortion."""
@@ -59,7 +61,7 @@ class RecordedCameras:
     @property
     def notices(self) -> list[Message]:
         """What a user should know about the cameras."""
-        notices, offset = self._rotation_notices(), self.clip.offset
+        notices, offset = [*self._rotation_notices(), *self._time_notices()], self.clip.offset
         shift, epipolar = self.fit.rig_shift_sigma, self.fit.epipolar_px
         if epipolar is not None and shift > MAX_RIG_SHIFT_SIGMA:
             notices.append(message("calibration_stale", epipolar_px=epipolar.value, shift=shift))
@@ -76,6 +78,21 @@ class RecordedCameras:
                 notices.append(message("cameras_travel", view=view, known=count, frames=frames))
             elif turning is not None and turning[:, side].any() and count < frames:
                 notices.append(message("rotation_unknown", view=view, unknown=frames - count, frames=frames))
+        return notices
+
+    def _time_notices(self) -> list[Message]:
+        """What is wrong with the frames' times and order."""
+        notices: list[Message] = []
+        if (found := self.frame_times) is None:
+            return notices
+        if found.gaps:
+            gaps = ", ".join(f"{count} between frames {a} and {b}" for a, b, count in found.gaps)
+            notices.append(message("frames_missing_estimated", gaps=gaps))
+        if len(found.unordered):
+            notices.append(message("frames_out_of_order", frames=counted_frames(found.unordered)))
+        if len(found.repeated):
+            frames = counted_frames(found.repeated)
+            notices.append(message("frames_repeated", source="left and right", frames=frames))
         return notices
 
     def summary(self) -> dict[str, Any]:
@@ -96,9 +113,9 @@ class RecordedCameras:
 def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress | None = None) -> RecordedCameras:
     """What ``recording`` tells of the cameras of ``clip``, and both corrected for it.
 
-    Two videos of which nothing is stated are paired anew where what moves lags in one of them.
-    Cameras that travel, as on a vehicle, are left as they are. Raises UnusableInput for a ``drawn_on`` that is no
-    frame, an ``offset`` by which other frames belong together, or outlines that are of no one part of a vehicle.
+    Two videos of which nothing is stated are paired anew where what moves lags in one of them. Of cameras that travel,
+    as on a vehicle, neither rotations nor the frames' times are corrected. Raises UnusableInput for a ``drawn_on`` that
+    is no frame, an ``offset`` by which other frames belong together, or outlines that are of no one part of a vehicle.
     """
     interval = recording.pairing.interval
     if clip.offset is not None and abs(clip.offset.value) > interval:
@@ -116,6 +133,12 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     rotations = estimate_rotations(recording, reference_frame(clip, recording), progress)
     vectors = expected_rotations(rotations) if rotations.is_stationary else np.zeros_like(rotations.vectors)
     steady = recording.corrected(0.0, vectors if vectors.any() else None)
+    frame_times = None
+    if rotations.is_stationary:
+        frame_times = estimate_frame_times(steady, [v.frame for v in clip.vehicles], progress)
+        if not frame_times.kept.all() or frame_times.gaps:
+            steady = steady.retimed(frame_times.times, frame_times.kept)
+            clip = with_kept_frames(clip, frame_times)
     if clip.offset is not None and rig.uncertainty is None:  # matches could tell nothing that is not known
         fit = EpipolarFit(rig, 0.0, None, None)
     else:
@@ -124,7 +147,7 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     offset = clip.offset or (fit.offset if lag and fit.offset else expected_offset(fit.offset, interval))
     steady = steady.corrected(offset.value, steady.rotations)
     offset = replace(offset, value=lag + offset.value)
-    cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit, lag)
+    cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit, lag, frame_times)
     clip = with_displacements(with_steady_outlines(cameras), steady)
     return replace(cameras, clip=clip)
 
@@ -166,6 +189,13 @@ def readout_difference_std(rig: StereoRig) -> float:
     """Standard deviation (s) of the right readout minus the left one."""
     left, right = (0.0 if camera.readout is None else camera.readout.std for camera in rig.cameras)
     return max(float(np.hypot(left, right)), 1e-9)
+
+
+def with_kept_frames(clip: Clip, frame_times: FrameTimes) -> Clip:
+    """The clip with its vehicles outlined on the frames that are kept of those that show the same."""
+    kept_frame = dict(zip(frame_times.indices.tolist(), frame_times.kept_frame.tolist(), strict=True))
+    vehicles = [replace(v, frame=kept_frame[v.frame]) if kept_frame.get(v.frame, -1) >= 0 else v for v in clip.vehicles]
+    return replace(clip, vehicles=vehicles)
 
 
 def with_steady_outlines(cameras: RecordedCameras) -> Clip:

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from paceline.arrays import Array, Image, Indices
+from paceline.arrays import Array, Image, Indices, Mask
 from paceline.cameras import StereoRig
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageFiles, ImageSource, open_source
@@ -152,6 +152,15 @@ class StereoRecording:
         for image in self._sources[side].read(numbers):
             yield None if image is None else self.rig.cameras[side].undistort_image(image)
 
+    def retimed(self, times: Array, selection: Mask) -> StereoRecording:
+        """The same with its pairs taken at ``times`` (N,) s, and only those that are in the ``selection`` (N,)."""
+        p = self.pairing
+        pairing = replace(
+            p, left=p.left[selection], right=p.right[selection], times=times[selection], skews=p.skews[selection]
+        )
+        rotations = None if self.rotations is None else self.rotations[selection]
+        return StereoRecording(self.rig, *self._sources, pairing, rotations)
+
     @property
     def sources(self) -> tuple[ImageSource, ImageSource]:
         """The left and the right recording, distorted."""
@@ -181,12 +190,11 @@ class StereoRecording:
     def notices(self) -> list[str]:
         """What a user should know about the recording, one plain line each; iterating may add to it."""
         messages: list[str] = [*self._sources[0].notices, *self._sources[1].notices, *self.pairing.notices]
-        messages += _gap_notices(self.pairing)
         for source, repeated, damaged in zip(self._sources, self._repeated, self._damaged, strict=True):
             if damaged:
                 messages.append(message("frames_undecodable", frames=f"{source.name}: {_format_frames(damaged)}"))
             if repeated:
-                frames = f"{_format_frames(repeated)} {_are(repeated)}"
+                frames = counted_frames(repeated)
                 messages.append(message("frames_repeated", source=source.name, frames=frames))
         return messages
 
@@ -241,6 +249,7 @@ def open_recording(clip: StereoSource) -> StereoRecording:
         pairing = pair_by_time(left.times, right.times, clip.tolerance)
         if clip.rate is not None:
             pairing.notices.append(message("rate_ignored", clip=clip.path, source="the videos carry their"))
+    pairing.notices.extend(_gap_notices(pairing))
     return StereoRecording(clip.rig, left, right, pairing)
 
 
@@ -385,8 +394,7 @@ def _unmatched(side: str, count: int, matched: Indices, criterion: str) -> list[
     other = "right" if side == "left" else "left"
     if not len(unmatched):
         return []
-    frames = f"{_format_frames(unmatched)} {_are(unmatched)}"
-    return [message("frames_unmatched", view=side, frames=frames, other=other, match=criterion)]
+    return [message("frames_unmatched", view=side, frames=counted_frames(unmatched), other=other, match=criterion)]
 
 
 def _format_frames(frames: set[int] | Indices) -> str:
@@ -396,8 +404,9 @@ def _format_frames(frames: set[int] | Indices) -> str:
     return f"frame{'s' * (len(numbers) > 1)} {listed}{more}"
 
 
-def _are(frames: set[int] | Indices) -> str:
-    return "is" if len(frames) == 1 else "are"
+def counted_frames(frames: set[int] | Indices) -> str:
+    """The subject and the verb of a sentence about ``frames``."""
+    return f"{_format_frames(frames)} {'is' if len(frames) == 1 else 'are'}"
 
 
 def _is_copy(image: Image, previous: Image | None) -> bool:

@@ -16,6 +16,10 @@ from paceline.verdicts import NO_REASON, Message, message
 MAX_DEVIATION_SIGMA = 3.0  # RMS deviation from the path where the contrast is lower than the next constant
 MIN_TRACK_CONTRAST_GREY = 5.0  # grey levels; below, the background may have been followed instead
 
+FULL_BRAKING_MPS2, FULL_THROTTLE_MPS2 = 9.0, 6.0  # at the limits of tyres and engines
+FULL_TURNING_MPS2 = 9.81  # sideways, with a friction coefficient of 1
+CERTAINTY_SIGMA = 1.645  # standard deviations beyond a limit at which it is exceeded with a probability of 95 %
+
 
 def check_refined(refined: RefinedMotion, speed: float, half_width: float, limits: Limits = DEFAULT_LIMITS) -> Message:
     """The reason to reject ``speed`` (m/s) with its half-width ``half_width``; empty where all tests pass.
@@ -61,6 +65,22 @@ def check_outline(
     if offset <= limit:
         return NO_REASON
     return message("outline_inconsistent", offset_px=offset, max_offset_px=limit)
+
+
+def check_motion(refined: RefinedMotion) -> Message:
+    """The reason to reject a motion that no vehicle makes, with a probability of 95 %; else empty."""
+    (along, across), (along_std, across_std) = (values.T for values in refined.accelerations())
+    for motion, value, std, limit in (
+        ("brakes", -along, along_std, FULL_BRAKING_MPS2),
+        ("gathers speed", along, along_std, FULL_THROTTLE_MPS2),
+        ("turns", across, across_std, FULL_TURNING_MPS2),
+    ):
+        frame = int(np.argmax(value - limit - CERTAINTY_SIGMA * std))
+        if value[frame] - CERTAINTY_SIGMA * std[frame] > limit:
+            return message(
+                "motion_implausible", motion=motion, acceleration=value[frame], std=std[frame], max_acceleration=limit
+            )
+    return NO_REASON
 
 
 def consistent_frames(refined: RefinedMotion, limits: Limits = DEFAULT_LIMITS) -> NDArray[np.bool_]:

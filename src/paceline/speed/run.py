@@ -204,8 +204,10 @@ class VehicleMeasurement:
         student = stdtrit(refined.dof, 0.5 + CONFIDENCE_LEVEL / 2)
         random = float(np.hypot(student * noise_std, COVERAGE_95 * model_std))
         half_width = float(np.hypot(random, COVERAGE_95 * np.nan_to_num(systematic_std)))
-        reason = acceptance.check_refined(refined, speed, half_width, self.limits) or acceptance.check_outline(
-            refined, self.vehicle.right, self.configuration.click_sigma, self.limits
+        reason = (
+            acceptance.check_refined(refined, speed, half_width, self.limits)
+            or acceptance.check_outline(refined, self.vehicle.right, self.configuration.click_sigma, self.limits)
+            or acceptance.check_motion(refined)
         )
         fit = refined.rig_estimate
         rig_information = None if reason or fit is None else self._rig_information(refined, fit, student)

@@ -55,6 +55,16 @@ class RefinedMotion:
         total = self.covariance + self.model_covariance + np.nan_to_num(self.systematic_covariance)
         return g @ self.theta, np.sqrt(np.einsum("fi,ij,fj->f", g, total, g))
 
+    def accelerations(self) -> tuple[Array, Array]:
+        """Accelerations (F − 1, 2) between successive frames along the path and across it, and their standard
+        deviations (F − 1, 2), systematic part included where known; m/s²."""
+        steps = np.diag(self.trajectory.steps)
+        ahead, behind = (self.trajectory.accelerations(self.theta + sign * steps) for sign in (1, -1))
+        gradient = (ahead - behind) / (2 * self.trajectory.steps[:, None, None])
+        total = self.covariance + self.model_covariance + np.nan_to_num(self.systematic_covariance)
+        variance = np.einsum("nfa,nm,mfa->fa", gradient, total, gradient)
+        return self.trajectory.accelerations(self.theta), np.sqrt(variance)
+
     def mean_speed(self) -> tuple[float, float, float, float]:
         """The mean speed and its standard deviations from noise, model choice and calibration; m/s."""
         g = self.trajectory.mean_speed_gradient

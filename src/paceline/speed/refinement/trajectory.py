@@ -231,6 +231,17 @@ class Trajectory:
         d = (n * start).sum(-1)
         return R.reshape(*shape, *R.shape[1:]), t.reshape(*shape, *t.shape[1:]), n.reshape(*shape, 3), d.reshape(shape)
 
+    def accelerations(self, theta: Array) -> Array:
+        """Accelerations (…, F − 1, 2) m/s² between successive frames by ``theta`` (…, n): along the path, and across it
+        by its turning."""
+        duration = np.diff(self.times[:, 0])
+        speed = theta @ self.speed_jacobian.T
+        R = self.motion(theta)[0][..., 0, :, :]
+        turn = np.swapaxes(R[..., :-1, :, :], -1, -2) @ R[..., 1:, :, :]
+        angle = np.arccos(np.clip((np.trace(turn, axis1=-2, axis2=-1) - 1) / 2, -1.0, 1.0))
+        mean_speed = (speed[..., 1:] + speed[..., :-1]) / 2
+        return np.stack([np.diff(speed, axis=-1) / np.diff(self.frame_times), mean_speed * angle / duration], axis=-1)
+
     def homographies(self, theta: Array) -> tuple[Array, Array]:
         """H (…, F, 2, 3, 3) from the unit square to both views by ``theta`` (…, n), and ∂H/∂d."""
         return self._view_homographies(self.rig, *self.motion(theta))
