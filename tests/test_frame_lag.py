@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from selection import slow_after
 
 from paceline.cameras import Quantity
 from paceline.documents.loading import Clip, load_clip
@@ -25,7 +26,7 @@ SCENE = Scene(
 )
 
 
-@pytest.fixture(scope="module", params=[0.42, -0.3])
+@pytest.fixture(scope="module", params=slow_after(1, [0.42, -0.3]))
 def lagging(request, tmp_path_factory) -> tuple[RenderedClip, Path]:
     """A clip whose right camera exposes later than its time stamps say, or earlier."""
     rendered = render(replace(SCENE, errors=StereoErrors(offset=request.param, crf=14)))

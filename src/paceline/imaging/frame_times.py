@@ -27,7 +27,7 @@ ACCELERATION_STDS_MPS2 = np.array([[2.0, 2.0, 0.3], [4.5, 4.5, 1.0]])
 ACCELERATION_PROBABILITIES = 0.9, 0.1
 BODY_MOTION_STD_MPS = 0.05  # velocity of a vehicle's body on its springs
 OUTLIER_PROBABILITY = 1e-4  # of a displacement that is wrong
-MAX_SPEED_MPS = 90.0  # a wrong displacement is anywhere up to this speed
+MAX_OUTLIER_SPEED_MPS = 90.0  # a wrong displacement is anywhere up to this speed
 FIRST_SPEED_STDS_MPS = 0.05, 20.0  # of vehicles that stand and that drive
 MIN_REGULAR_REPETITIONS = 3  # from which on they are a recorder's that repeats pictures to reach its rate
 TIME_PRECISION_S = 1e-6
@@ -258,7 +258,7 @@ def _updated(
         spread = known.covariance + between**2 * (axes.T * stds**2) @ axes
         log_density, velocity = _predicted(known.mean, spread, observed, noise)
         outcomes.append((np.log(probability) + log_density, velocity))
-    outcomes.append((np.log(OUTLIER_PROBABILITY) - 3 * np.log(2 * MAX_SPEED_MPS), (known.mean, spread)))
+    outcomes.append((np.log(OUTLIER_PROBABILITY) - 3 * np.log(2 * MAX_OUTLIER_SPEED_MPS), (known.mean, spread)))
     total = float(np.logaddexp.reduce([log_density for log_density, _ in outcomes])) - unit
     mean, covariance = max(outcomes, key=lambda outcome: outcome[0])[1]
     return total, _Velocity(mean, covariance, duration, mean)
