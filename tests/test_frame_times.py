@@ -88,6 +88,14 @@ def test_no_traffic_is_taken_for_a_fault(motions: list[tuple[float, float]], rat
     assert set(estimate_steps(intervals(places, range(12), rate, seed), 1 / rate)[1]) == {1}
 
 
+@pytest.mark.parametrize("missing", [1, 2, 3])
+def test_a_gap_that_the_times_tell_is_no_fault(missing: int) -> None:
+    order = [0, 1, 2, *range(3 + missing, 10)]
+    seen = intervals([driving(20.0)], order, 5.0)
+    seen = [replace(i, duration=step / 5) for i, step in zip(seen, steps_of(order), strict=True)]
+    assert set(estimate_steps(seen, 0.2)[1]) == {1}
+
+
 def test_a_vehicle_that_is_followed_wrongly_once_changes_no_time() -> None:
     seen = intervals([driving(20.0), driving(15.0)], range(10), 5.0)
     wrong = Displacement(0, np.array([3.0, -1.0, 2.0]), seen[4].displacements[0].covariance)

@@ -189,9 +189,14 @@ def estimate_steps(intervals: Iterable[Interval], period: float) -> tuple[list[t
     hypotheses = [_Hypothesis(0.0, {})]
     for interval in intervals:
         frames.append((interval.first, interval.second))
-        steps = STEPS if interval.displacements else STEPS[:1]
+        steps = _possible_steps(interval, period) if interval.displacements else STEPS[:1]
         hypotheses = _pruned([_extended(h, interval, step, period) for h in hypotheses for step in steps])
     return frames, hypotheses[0].steps
+
+
+def _possible_steps(interval: Interval, period: float) -> list[int]:
+    """Those of `STEPS` after which an ``interval`` takes some time, or is that to a repetition."""
+    return [step for step in STEPS if step == 0 or abs(interval.duration + (step - 1) * period) > period / 2]
 
 
 def _pruned(hypotheses: list[_Hypothesis]) -> list[_Hypothesis]:
