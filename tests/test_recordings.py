@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from paceline.cameras import Camera, StereoRig
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
-from paceline.recordings.image_sources import open_source, read_image_file
+from paceline.recordings import image_sources
+from paceline.recordings.image_sources import KeptImages, open_source, read_image_file
 from paceline.recordings.stereo import open_recording, pair_by_time
 
 W, H = 64, 48
@@ -218,6 +219,35 @@ def test_twelve_bits_in_sixteen_cause_a_notice_and_are_scaled_on_request():
     source = open_source(Path("one"), bit_depth=12)
     assert source.notices == []
     np.testing.assert_allclose(next(source.read([0])), image * (255 / 4095), rtol=1e-6)
+
+
+def test_images_of_short_recordings_are_decoded_once(monkeypatch):
+    class Counting:
+        name, notices, times, decoded = "left", [], None, 0
+
+        def __len__(self):
+            return 6
+
+        def label(self, frame):
+            return f"left/{frame}"
+
+        def read(self, frames):
+            for frame in frames:
+                self.decoded += 1
+                yield None if frame == 3 else np.full((4, 5), frame, np.float32)
+
+    def reads():
+        source = Counting()
+        kept = KeptImages(source)
+        for frames in (range(3), range(2), [1, 2]):
+            assert [int(image[0, 0]) for image in kept.read(frames)] == list(frames)
+        for image, frame in zip(kept.read(range(6)), range(6), strict=True):
+            assert (image is None) == (frame == 3)
+        return source.decoded
+
+    assert reads() == 3 + 6
+    monkeypatch.setattr(image_sources, "MAX_KEPT_BYTES", 6 * 80 - 1)
+    assert reads() == 3 + 2 + 2 + 6
 
 
 @pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])

@@ -229,9 +229,16 @@ def _match_static(detector: cv2.SIFT, rig: StereoRig, frame: StereoFrame, masks:
     """Matches between the two views of ``frame`` where nothing moves; features are detected in the reduced pictures."""
     found = []
     for image, mask in zip(views(frame), masks, strict=True):
-        places, descriptors = detect_features(detector, _reduced(image), mask.astype(np.uint8))
-        found.append((PICTURE_REDUCTION * places + (PICTURE_REDUCTION - 1) / 2, descriptors))
+        found.append(_reduced_features(detector, image, mask.astype(np.uint8)))
     return _match_views(rig, frame, *found)
+
+
+def _reduced_features(detector: cv2.SIFT, image: Image, mask: NDArray[np.uint8]) -> tuple[Array, Descriptors]:
+    """Features of ``image`` where the ``mask``, of its size or reduced, is set: those of the reduced picture."""
+    reduced = _reduced(image)
+    mask = cv2.resize(mask, reduced.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    places, descriptors = detect_features(detector, reduced, mask)
+    return PICTURE_REDUCTION * places + (PICTURE_REDUCTION - 1) / 2, descriptors
 
 
 def _match_views(
@@ -257,9 +264,11 @@ def match_pair(
     return i[found], left[i][found], refined[found]
 
 
-def masked_features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array, Descriptors]:
+def masked_features(
+    detector: cv2.SIFT, image: Image, mask: Mask, max_area: float = np.inf
+) -> tuple[Array, Descriptors]:
     """Features of ``image`` where the reduced ``mask`` is set, region by region: places (n, 2) px and descriptors
-    (n, 128)."""
+    (n, 128). Of regions larger than ``max_area`` px they are those of the reduced picture."""
     grown = _with_margin(mask)
     _, _, stats, _ = cv2.connectedComponentsWithStats(grown)
     boxes = sorted((s for s in stats[1:].tolist() if s[4] >= MIN_MOVING_AREA_PX), key=lambda s: -s[4])[:MAX_REGIONS]
@@ -268,7 +277,11 @@ def masked_features(detector: cv2.SIFT, image: Image, mask: Mask) -> tuple[Array
         crop_mask = grown[y : y + height, x : x + width].repeat(PICTURE_REDUCTION, 0).repeat(PICTURE_REDUCTION, 1)
         corner = np.array([x, y]) * PICTURE_REDUCTION
         crop = image[corner[1] : corner[1] + crop_mask.shape[0], corner[0] : corner[0] + crop_mask.shape[1]]
-        found, described = detect_features(detector, crop, crop_mask[: crop.shape[0], : crop.shape[1]])
+        crop_mask = crop_mask[: crop.shape[0], : crop.shape[1]]
+        if crop.size > max_area:
+            found, described = _reduced_features(detector, crop, crop_mask)
+        else:
+            found, described = detect_features(detector, crop, crop_mask)
         places.append(found + corner)
         descriptors.append(described)
     return np.concatenate(places), np.concatenate(descriptors)

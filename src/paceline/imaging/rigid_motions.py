@@ -31,6 +31,7 @@ from paceline.recordings.stereo import StereoFrame
 from paceline.sift_features import Descriptors, match_descriptors
 
 WINDOW_FRAMES = 5  # frames before and after one that may repeat it: where something moves in them, it is looked at
+MAX_WHOLE_AREA_PX = 200 * 200  # larger regions show enough in the reduced picture
 MIN_GROUP_POINTS = 5  # that move alike
 MIN_CARRIED_POINTS = 3  # of these that were in the group before
 MIN_GROUP_SHARE = 0.5  # of the points of a group that are found again
@@ -201,7 +202,8 @@ def _is_near(links: _Links, rows: Indices, vector: Array) -> Mask:
 
 def _points(detector: cv2.SIFT, rig: StereoRig, frame: StereoFrame, masks: Sequence[Mask]) -> _Points:
     (left, descriptors), right = (
-        masked_features(detector, image, mask) for image, mask in zip(views(frame), masks, strict=True)
+        masked_features(detector, image, mask, MAX_WHOLE_AREA_PX)
+        for image, mask in zip(views(frame), masks, strict=True)
     )
     rows, found, refined = match_pair(rig, frame, (left, descriptors), right)
     places = triangulate(rig, found, refined) if len(found) else np.zeros((0, 3))

@@ -24,6 +24,7 @@ from paceline.verdicts import message
 StoredImage = NDArray[Any]  # uint8 or uint16
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
+MAX_KEPT_BYTES = 128 << 20  # of a view, 42 images of 1024 × 768
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -98,6 +99,30 @@ class ImageFiles:
         for frame in frames:
             image = read_image_file(self.files[frame])
             yield to_grey(image, 16 if self._bit_depth is None else self._bit_depth, self.label(frame))
+
+
+class KeptImages:
+    """A ``source`` whose images are decoded once, and kept where all of them take at most `MAX_KEPT_BYTES`."""
+
+    def __init__(self, source: ImageSource) -> None:
+        self._source = source
+        self._images: dict[int, Image] = {}
+        self.name, self.notices, self.times = source.name, source.notices, source.times
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def label(self, frame: int) -> str:
+        return self._source.label(frame)
+
+    def read(self, frames: Sequence[int]) -> Iterator[Image | None]:
+        if all(frame in self._images for frame in frames):
+            yield from (self._images[frame] for frame in frames)
+            return
+        for frame, image in zip(frames, self._source.read(frames), strict=True):
+            if image is not None and image.nbytes * len(self) <= MAX_KEPT_BYTES:
+                self._images[frame] = image
+            yield image
 
 
 class VideoFile:

@@ -17,7 +17,7 @@ import numpy as np
 from paceline.arrays import Array, Image, Indices, Mask
 from paceline.cameras import StereoRig
 from paceline.errors import UnusableInput
-from paceline.recordings.image_sources import ImageFiles, ImageSource, open_source
+from paceline.recordings.image_sources import ImageFiles, ImageSource, KeptImages, open_source
 from paceline.verdicts import Message, message
 
 MIN_REPORTED_SKEW_S = 1.1e-3  # skew above that of rounding both views to whole milliseconds
@@ -99,7 +99,7 @@ class StereoFrames(Protocol):
 class StereoRecording:
     """Pairs of frames of a rig; iterate it, as often as needed, for :class:`StereoFrame` after :class:`StereoFrame`.
 
-    Memory does not grow with its length. ``rotations`` (N, 2, 3) are rotation vectors (rad) by which each camera has
+    Memory does not grow with its length beyond that of `KeptImages`. ``rotations`` (N, 2, 3) are rotation vectors (rad) by which each camera has
     turned in each frame, which the frames are freed from; None where they are stationary.
     """
 
@@ -250,7 +250,7 @@ def open_recording(clip: StereoSource) -> StereoRecording:
         if clip.rate is not None:
             pairing.notices.append(message("rate_ignored", clip=clip.path, source="the videos carry their"))
     pairing.notices.extend(_gap_notices(pairing))
-    return StereoRecording(clip.rig, left, right, pairing)
+    return StereoRecording(clip.rig, KeptImages(left), KeptImages(right), pairing)
 
 
 def pair_by_time(left: Array, right: Array, tolerance: float | None = None) -> Pairing:
