@@ -236,7 +236,7 @@ def _match_static(detector: cv2.SIFT, rig: StereoRig, frame: StereoFrame, masks:
 def _reduced_features(detector: cv2.SIFT, image: Image, mask: NDArray[np.uint8]) -> tuple[Array, Descriptors]:
     """Features of ``image`` where the ``mask``, of its size or reduced, is set: those of the reduced picture."""
     reduced = _reduced(image)
-    mask = cv2.resize(mask, reduced.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    mask = np.asarray(cv2.resize(mask, reduced.shape[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
     places, descriptors = detect_features(detector, reduced, mask)
     return PICTURE_REDUCTION * places + (PICTURE_REDUCTION - 1) / 2, descriptors
 

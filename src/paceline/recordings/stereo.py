@@ -99,8 +99,8 @@ class StereoFrames(Protocol):
 class StereoRecording:
     """Pairs of frames of a rig; iterate it, as often as needed, for :class:`StereoFrame` after :class:`StereoFrame`.
 
-    Memory does not grow with its length beyond that of `KeptImages`. ``rotations`` (N, 2, 3) are rotation vectors (rad) by which each camera has
-    turned in each frame, which the frames are freed from; None where they are stationary.
+    Memory does not grow with its length beyond that of `KeptImages`. ``rotations`` (N, 2, 3) are rotation vectors (rad)
+    by which each camera has turned in each frame, which the frames are freed from; None where they are stationary.
     """
 
     def __init__(
