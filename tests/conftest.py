@@ -45,6 +45,16 @@ def rig() -> StereoRig:
     return StereoRig(left, right, cv2.Rodrigues(np.array([0.004, -0.02, 0.006]))[0], np.array([-0.5, 0.02, -0.03]))
 
 
+@pytest.fixture(scope="session")
+def small_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The clip.yaml of one vehicle at 12 m/s in seven small pictures: measured in a second, by any method."""
+    from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
+
+    vehicle = Vehicle("v0", speed=12.0, start_distance=32.0)
+    scene = Scene(seed=5, vehicles=(vehicle,), image_size=(480, 360), focal=1000.0, frames=7, rate=5.0)
+    return write(render(scene), tmp_path_factory.mktemp("small"))
+
+
 @pytest.fixture
 def signals_as_before() -> Iterator[None]:
     """Ctrl-C and termination are answered after the test as before it."""

@@ -35,20 +35,25 @@ def test_the_limit_ends_with_the_function() -> None:
 
 
 MEASURES = """
-import numpy, scipy.linalg, paceline
+import sys, numpy, scipy.linalg, paceline
 from test_blas import threads
 found = []
-clip = paceline.load_clip("examples/straight/clip.yaml")
+clip = paceline.load_clip(sys.argv[1])
 few = paceline.SpeedConfiguration(particles=20, refine=False)
 paceline.measure(clip, few, lambda done, total: found.append(threads()))
 print(set.union(*found), len(threads()))
 """
 
 
-def test_measuring_from_python_limits_it() -> None:
+def test_measuring_from_python_limits_it(small_clip: Path) -> None:
     """Though NumPy is loaded, as in a notebook, and may use two threads."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "OPENBLAS_NUM_THREADS": "2"}
     done = subprocess.run(
-        [sys.executable, "-c", MEASURES], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", MEASURES, small_clip],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert done.stdout.split()[0] == "{1}", done.stderr

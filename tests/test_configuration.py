@@ -119,18 +119,18 @@ def test_a_detector_that_a_file_names_lies_beside_it(tmp_path: Path) -> None:
     assert done.returncode == 2 and "settings.yaml: detector: expected none.onnx (SHA-256 0123456789ab…)" in done.stderr
 
 
-def test_a_summarys_configuration_reproduces_the_result(tmp_path: Path) -> None:
+def test_a_summarys_configuration_reproduces_the_result(small_clip: Path, tmp_path: Path) -> None:
     """Options win over the file, and a file over the defaults."""
     text = "method: sift\nparticles: 77\nseed: 3\nlimits: {max_half_width: 0.5}\nreport: {overlay: false}\n"
     file = written(tmp_path, text)
     options = ["--quiet", "--config"]
-    first = command("speed", STRAIGHT, "-o", tmp_path / "first", "--seed", "5", *options, file)
+    first = command("speed", small_clip, "-o", tmp_path / "first", "--seed", "5", *options, file)
     assert first.returncode == 0, first.stderr
     summary = summary_of(tmp_path / "first")
     c = summary["configuration"]
     assert (c["method"], c["particles"], c["seed"], c["limits"]["max_half_width"]) == ("sift", 77, 5, 0.5)
     again = written(tmp_path, json.dumps(c))
-    assert command("speed", STRAIGHT, "-o", tmp_path / "again", *options, again).returncode == 0
+    assert command("speed", small_clip, "-o", tmp_path / "again", *options, again).returncode == 0
     assert summary_of(tmp_path / "again") == summary
     tables = [(tmp_path / name / "estimates.csv").read_text() for name in ("first", "again")]
     assert tables[0] == tables[1]
@@ -175,14 +175,14 @@ def test_a_configuration_stands_in_the_summary_as_it_is(c: SpeedConfiguration) -
         assert load_settings(written(out, json.dumps(summary_of(out)["configuration"]))).configuration == c
 
 
-def test_units_and_overlay_are_settings_and_options_win(tmp_path: Path) -> None:
+def test_units_and_overlay_are_settings_and_options_win(small_clip: Path, tmp_path: Path) -> None:
     text = "method: sift\nreport: {units: m/s, overlay: false}\n"
-    done = command("speed", STRAIGHT, "-o", tmp_path / "out", "--config", written(tmp_path, text))
+    done = command("speed", small_clip, "-o", tmp_path / "out", "--config", written(tmp_path, text))
     assert "speed, m/s" in done.stdout
     assert not (tmp_path / "out" / "overlay.mp4").exists() and (tmp_path / "out" / "report.html").exists()
     assert summary_of(tmp_path / "out")["configuration"]["report"] == {"units": "m/s", "overlay": False}
     options = ["--units", "km/h", "--max-half-width", "3.6"]
-    done = command("speed", STRAIGHT, "-o", tmp_path / "again", *options, "--config", tmp_path / "settings.yaml")
+    done = command("speed", small_clip, "-o", tmp_path / "again", *options, "--config", tmp_path / "settings.yaml")
     c = summary_of(tmp_path / "again")["configuration"]
     assert "speed, km/h" in done.stdout and c["report"]["units"] == "km/h" and c["tolerance"] == 1.0
 

@@ -44,11 +44,11 @@ def test_the_methods_of_the_package_are_known() -> None:
 
 
 @pytest.mark.usefixtures("plugged_in")
-def test_an_entry_point_adds_a_method(tmp_path: Path) -> None:
+def test_an_entry_point_adds_a_method(small_clip: Path, tmp_path: Path) -> None:
     assert method_names()[-3:] == ["constant", "missing", "wrong"]
-    done = command("speed", STRAIGHT, "-o", tmp_path / "out", "--method", "constant")
+    done = command("speed", small_clip, "-o", tmp_path / "out", "--method", "constant")
     assert done.returncode == 1 and "note: measured by a plugged-in method" in done.stderr
-    result = paceline.measure(STRAIGHT / "clip.yaml", method="constant")
+    result = paceline.measure(small_clip, method="constant")
     assert result.configuration == {"method": "constant", "particles": 400}
 
 

@@ -254,6 +254,7 @@ def test_a_change_of_lane_is_found(rendered: Callable[[Scene], Path], kind: str,
     assert abs(m.speed - 18.0) < 0.15 * MPH and m.speed_lo <= 18.0 <= m.speed_hi
 
 
+@pytest.mark.slow
 def test_a_bend_is_measured_whose_drawing_is_uncertain(rendered: Callable[[Scene], Path]) -> None:
     """Its direction is drawn 4 to 9 degrees off, within its uncertainty; from there the fit did not reach it."""
     s = random_bend(9102)

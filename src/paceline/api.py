@@ -48,18 +48,15 @@ def track(
     speed needs the whole track: see `measure`.
     """
     loaded = _resolve_clip(clip)
+    if loaded.vehicles and vehicle is not None:
+        loaded = _only(loaded, vehicle)
     if frames is None:
         cameras = estimate_cameras(loaded, open_recording(loaded))
         loaded, recording = cameras.clip, cameras.recording
         if not loaded.vehicles:
             loaded = search.find_vehicles(loaded, recording, configuration=configuration or DEFAULTS).clip
+            loaded = loaded if vehicle is None else _only(loaded, vehicle)
         frames = recording.frames(min((v.frame for v in loaded.vehicles), default=0))
-    if vehicle is not None:
-        if vehicle not in (names := [v.id for v in loaded.vehicles]):
-            raise UnusableInput(
-                f"{loaded.path}: vehicles: none is called {vehicle!r}; expected one of {', '.join(names)}"
-            )
-        loaded = replace(loaded, vehicles=[v for v in loaded.vehicles if v.id == vehicle])
     return measurement.track(loaded, frames, configuration or DEFAULTS, device)
 
 
@@ -96,6 +93,13 @@ def vehicle_finder(
     if reason := background_problem(background):
         raise UnusableInput(f"{loaded.path}: {reason}")
     return VehicleFinder(lanes, RunningMedianBackground(background.images), settings)
+
+
+def _only(clip: Clip, vehicle: str) -> Clip:
+    """The ``clip`` with the ``vehicle`` of this id alone. Raises UnusableInput where there is none."""
+    if vehicle not in (names := [v.id for v in clip.vehicles]):
+        raise UnusableInput(f"{clip.path}: vehicles: none is called {vehicle!r}; expected one of {', '.join(names)}")
+    return replace(clip, vehicles=[v for v in clip.vehicles if v.id == vehicle])
 
 
 def _resolve_clip(clip: Clip | Path | str) -> Clip:
