@@ -210,7 +210,7 @@ VIDEOS: dict[str, Case] = {
     "no video": (lambda c: videos(c).write_bytes(b"no" * 999), ["left.mkv", "cannot be read as a video"]),
     "truncated to its head": (lambda c: video_cut(c, 0.02), ["left.mkv"]),
     "of another size": (video_of_another_size, ["left.mkv", "320 × 240", "640 × 480"]),
-    "beside images": (lambda c: c.video("left"), ["clip.yaml", "one view is a video", "expected times"]),
+    "beside images": (lambda c: c.video("left"), ["clip.yaml", "right has no time stamps", "expected times"]),
     "at other times": (videos_apart, ["left", "right", "no two frames lie within"]),
 }
 

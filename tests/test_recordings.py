@@ -592,17 +592,37 @@ def test_files_that_are_no_video(name, content):
     )
 
 
-def test_a_video_whose_clock_jumps_back_is_refused():
+def test_a_frame_whose_time_stamp_is_that_of_the_one_before_is_left_out():
+    write_video("v.mkv", [0, 100, 200, 200, 300], [picture(i) for i in range(5)])
+    source = open_source(Path("v.mkv"))
+    assert source.times.tolist() == [0.0, 0.1, 0.2, 0.3]
+    assert [n.code for n in source.notices] == ["frames_restamped"] and "1 frame left out" in source.notices[0]
+    for image, i in zip(source.read(range(4)), (0, 1, 2, 4), strict=True):
+        np.testing.assert_array_equal(image, picture(i))
+
+
+def test_of_recordings_that_were_joined_the_first_one_counts():
     write_video("once.ts", range(0, 1000, 100), [picture(i) for i in range(10)], "libx264", "yuv420p")
     Path("twice.ts").write_bytes(2 * Path("once.ts").read_bytes())
-    assert refusal(lambda: open_source(Path("twice.ts"))) == "twice.ts: times go backwards at frame 10"
+    source = open_source(Path("twice.ts"))
+    assert len(source) == 10 and "10 frames left out" in source.notices[0]
+    assert len(list(source.read(range(10)))) == 10
 
 
-def test_a_video_without_time_stamps_is_refused():
-    write_video("raw.h264", range(5), [picture(i) for i in range(5)], "libx264", "yuv420p", Fraction(1, 10))
-    assert refusal(lambda: open_source(Path("raw.h264"))) == (
-        "raw.h264: carries no presentation time stamps; expected a video that does, or images"
+@pytest.mark.parametrize(
+    ("name", "codec", "pixels"), [("raw.h264", "libx264", "yuv420p"), ("raw.mjpeg", "mjpeg", "yuvj420p")]
+)
+def test_a_video_without_time_stamps_needs_a_rate(name, codec, pixels):
+    """FFmpeg invents 25 frames/s for raw MJPEG."""
+    write_video(name, range(5), [picture(20 * i) for i in range(5)], codec, pixels, Fraction(1, 25))
+    assert (
+        refusal(lambda: open_recording(clip(name, name, None)))
+        == f"clip.yaml: rate: missing; {name} has no time stamps, or times"
     )
+    recording = open_recording(clip(name, name, 10.0))
+    np.testing.assert_allclose(recording.times, np.arange(5) / 10)
+    for frame, i in zip(recording, range(5), strict=True):
+        assert np.corrcoef(frame.left.ravel(), picture(20 * i).ravel())[0, 1] > 0.9
 
 
 def test_a_video_of_one_frame_or_of_another_size_is_refused():
@@ -619,7 +639,7 @@ def test_a_video_beside_a_folder_needs_times():
     write_video("left.mkv", PTS, [picture(i) for i in range(7)])
     write_folder("right", range(7))
     assert refusal(lambda: open_recording(clip("left.mkv"))) == (
-        "clip.yaml: one view is a video and the other images; expected times for both"
+        "clip.yaml: right has no time stamps, the other view has; expected times for both"
     )
     write_times([(i, i / 10, i / 10) for i in range(7)])
     np.testing.assert_allclose(timed(left=Path("left.mkv")).times, np.arange(7) / 10)

@@ -348,6 +348,10 @@ _WARNING_ROWS = {
         "{source}: carries no time stamps; frames are dated by their arrival",
         "Use a source that sends time stamps.",
     ),
+    "frames_restamped": (
+        "{video}: {frames} left out, whose time stamps repeat or precede those of frames before",
+        "Look at how the recorder or the joining program sets time stamps.",
+    ),
     "times_backward": ("{source}: times go back by {back_s:.3f} s at frame {frame}; counted on", ""),
     "frames_dropped_live": (
         "{frames} frames were dropped: they came faster than this computer looks through them",

@@ -15,11 +15,12 @@ from typing import Any, Protocol
 import av
 import cv2
 import numpy as np
+from av.format import Flags
 from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
 from paceline.errors import UnusableInput
-from paceline.verdicts import message
+from paceline.verdicts import message, plural
 
 StoredImage = NDArray[Any]  # uint8 or uint16
 
@@ -34,6 +35,11 @@ class ImageSource(Protocol):
     name: str
     notices: list[str]
     times: Array | None  # (N,) seconds; None where the source carries none
+
+    @property
+    def numbers(self) -> list[int] | None:
+        """The frames' own numbers, rising; None where they have none."""
+        ...
 
     def __len__(self) -> int: ...
 
@@ -112,6 +118,10 @@ class KeptImages:
     def __len__(self) -> int:
         return len(self._source)
 
+    @property
+    def numbers(self) -> list[int] | None:
+        return self._source.numbers
+
     def label(self, frame: int) -> str:
         return self._source.label(frame)
 
@@ -128,6 +138,8 @@ class KeptImages:
 class VideoFile:
     """A video file, timed by its presentation time stamps (never by its frame rate).
 
+    Where it carries none, as raw H.264 and MJPEG streams do, its frames are numbered and its ``times`` None. Frames
+    whose time stamps repeat or precede one before them are left out.
     Opening it reads the packets' time stamps, and decodes only what follows the last key frame to find out whether the
     file is cut short.
     """
@@ -139,11 +151,16 @@ class VideoFile:
         self._bit_depth = bit_depth
         self._seekable = True  # to key frames; not where only the decoder gives time stamps
         self._threads = "SLICE"  # frame-parallel decoding loses a varying number of frames at a damaged end
-        self._pts, self._time_base = self._scan()
-        self.times: Array | None = np.array([float(p * self._time_base) for p in self._pts])
+        self._is_timed = True
+        self._pts, time_base = self._scan()
+        self.times: Array | None = np.array([float(p * time_base) for p in self._pts]) if self._is_timed else None
 
     def __len__(self) -> int:
         return len(self._pts)
+
+    @property
+    def numbers(self) -> list[int] | None:
+        return None
 
     def label(self, frame: int) -> str:
         return f"{self.name}: frame {frame}"
@@ -153,13 +170,11 @@ class VideoFile:
         order = list(frames)
         for picture in self._decode_from(order[0] if order else 0):
             frame = frame_by_pts.get(picture.pts) if picture.pts is not None else None
-            if frame is None:
+            if frame is None or not order or frame < order[0]:  # its time stamp is that of a frame before it
                 continue
-            while order and order[0] < frame:
+            while order[0] < frame:
                 order.pop(0)
                 yield None
-            if not order or order[0] != frame:
-                raise UnusableInput(f"{self.label(frame)}: its time stamp precedes that of the frame before it")
             order.pop(0)
             yield self._grey(picture, frame)
             if not order:
@@ -186,7 +201,7 @@ class VideoFile:
             stream.thread_type = self._threads
             if start is not None:
                 container.seek(start, stream=stream)
-            packets = container.demux(stream)
+            packets, number = container.demux(stream), 0
             while True:
                 try:  # a damaged packet loses its own pictures only
                     pictures = next(packets).decode()
@@ -194,7 +209,13 @@ class VideoFile:
                     return
                 except av.FFmpegError:
                     continue
-                yield from (p for p in pictures if isinstance(p, av.VideoFrame) and not p.is_corrupt)
+                for picture in pictures:
+                    if not isinstance(picture, av.VideoFrame):
+                        continue
+                    if not self._is_timed:
+                        picture.pts, number = number, number + 1
+                    if not picture.is_corrupt:
+                        yield picture
 
     def _scan(self) -> tuple[list[int], Fraction]:
         try:
@@ -202,21 +223,23 @@ class VideoFile:
                 if container.format.name == "tty" or not container.streams.video:
                     raise UnusableInput(f"{self.name}: holds no video")
                 stream = container.streams.video[0]
-                pts, key, cut = _packets(container, stream)
+                self._is_timed = Flags.no_timestamps not in Flags(container.format.flags)  # else FFmpeg invents them
+                pts, key, cut, backward = _packets(container, stream)
                 time_base = stream.time_base or Fraction(1, av.time_base)
                 stated_end = _stated_end(container, stream)
         except av.FFmpegError as error:
             raise UnusableInput(f"{self.name}: cannot be read as a video ({error.strerror})") from error
-        if pts and None in pts:  # the container numbers its packets only; the decoder may know better
+        if (
+            self._is_timed and pts and None in pts
+        ):  # the container numbers its packets only; the decoder may know better
             pts, key = [picture.pts for picture in self._decode()], None
-            self._seekable = False
-            if None in pts:
-                raise UnusableInput(
-                    f"{self.name}: carries no presentation time stamps; expected a video that does, or images"
-                )
-        stamps = sorted(p for p in pts if p is not None)
-        if repeated := [i for i, (a, b) in enumerate(zip(stamps, stamps[1:], strict=False)) if a == b]:
-            raise UnusableInput(f"{self.name}: frame {repeated[0] + 1} has the same time stamp as the frame before it")
+            self._seekable, self._is_timed = False, None not in pts
+        if not self._is_timed:
+            self._seekable, time_base, key, stated_end = False, Fraction(1), None, None
+            pts = [picture.pts for picture in self._decode()]
+        stamps = sorted({p for p in pts if p is not None})
+        if left_out := backward + len(pts) - len(stamps):
+            self.notices.append(message("frames_restamped", video=self.name, frames=plural(left_out, "frame")))
         if key is not None:
             decodable = {picture.pts for picture in self._decode(key)}
             if key not in decodable:  # not every container can be seeked to a key frame
@@ -244,23 +267,25 @@ class VideoFile:
 
 def _packets(
     container: av.container.InputContainer, stream: av.VideoStream
-) -> tuple[list[int | None], int | None, bool]:
-    """The packets' presentation time stamps, that of the last key frame, and whether the packets end too early."""
+) -> tuple[list[int | None], int | None, bool, int]:
+    """The packets' presentation time stamps, that of the last key frame, whether the packets end too early, and how
+    many are left out because they go back in time."""
     pts: list[int | None] = []
-    key, last_dts, cut = None, None, False
+    key, last_dts, cut, backward = None, None, False, 0
     try:
         for packet in container.demux(stream):
             if not packet.size or packet.is_discard:
                 continue
             if packet.dts is not None and last_dts is not None and packet.dts < last_dts:
-                raise UnusableInput(f"{container.name}: times go backwards at frame {len(pts)}")
+                backward += 1
+                continue
             last_dts = packet.dts
             if packet.is_keyframe:
                 key = packet.pts
             pts.append(packet.pts)
     except av.FFmpegError:
         cut = True
-    return pts, key, cut or len(pts) < stream.frames
+    return pts, key, cut or len(pts) + backward < stream.frames, backward
 
 
 def _stated_end(container: av.container.InputContainer, stream: av.VideoStream) -> float | None:

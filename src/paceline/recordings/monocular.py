@@ -162,7 +162,9 @@ def open_camera(clip: CameraSource) -> CameraRecording:
             raise UnusableInput(f"{clip.path}: rate: missing; a folder of images needs it")
         times = _frame_counters(source) / clip.rate
     elif source.times is None:
-        raise UnusableInput(f"{clip.video}: carries no times; expected a video that does, or images and their rate")
+        if clip.rate is None:
+            raise UnusableInput(f"{clip.path}: rate: missing; {clip.video} has no time stamps")
+        times = np.arange(len(source)) / clip.rate
     else:
         times = source.times
         _note_unused_rate(clip, source)

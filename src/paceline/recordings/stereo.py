@@ -239,12 +239,16 @@ def open_recording(clip: StereoSource) -> StereoRecording:
     left, right = (open_source(path, clip.bit_depth) for path in (clip.left, clip.right))
     if clip.times is not None:
         pairing = pair_by_time(*read_times(clip.times, len(left), len(right)), clip.tolerance)
-    elif isinstance(left, ImageFiles) and isinstance(right, ImageFiles):
+    elif left.times is None and right.times is None:
         if clip.rate is None:
-            raise UnusableInput(f"{clip.path}: rate: missing; folders of images need it, or times")
+            untimed = "folders of images need it" if isinstance(left, ImageFiles) else f"{left.name} has no time stamps"
+            raise UnusableInput(f"{clip.path}: rate: missing; {untimed}, or times")
         pairing = pair_images(left, right, clip.rate)
     elif left.times is None or right.times is None:
-        raise UnusableInput(f"{clip.path}: one view is a video and the other images; expected times for both")
+        source = left if left.times is None else right
+        raise UnusableInput(
+            f"{clip.path}: {source.name} has no time stamps, the other view has; expected times for both"
+        )
     else:
         pairing = pair_by_time(left.times, right.times, clip.tolerance)
         if clip.rate is not None:
@@ -281,7 +285,7 @@ def pair_by_time(left: Array, right: Array, tolerance: float | None = None) -> P
     return Pairing(i, j, (left[i] + right[j]) / 2, skews, interval, notices)
 
 
-def pair_images(left: ImageFiles, right: ImageFiles, rate: float) -> Pairing:
+def pair_images(left: ImageSource, right: ImageSource, rate: float) -> Pairing:
     """Pairs images taken at ``rate`` frames per second by the frame numbers in their names, or else in order.
 
     Numbers that skip mean dropped frames. Equally many images that skip alike are paired in order, whatever number
