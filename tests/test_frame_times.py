@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from paceline.documents.loading import Clip, load_clip
 from paceline.geometry import triangulate
-from paceline.imaging.frame_times import estimate_steps, frame_times, longest_increasing, rate_conversion
+from paceline.imaging.frame_times import clear_part, estimate_steps, frame_times, longest_increasing, rate_conversion
 from paceline.imaging.recorded_cameras import estimate_cameras
 from paceline.imaging.rigid_motions import Displacement, Interval, displacement_covariance, rigid_motions
 from paceline.recordings.stereo import open_recording
@@ -94,6 +94,23 @@ def test_a_gap_that_the_times_tell_is_no_fault(missing: int) -> None:
     seen = intervals([driving(20.0)], order, 5.0)
     seen = [replace(i, duration=step / 5) for i, step in zip(seen, steps_of(order), strict=True)]
     assert set(estimate_steps(seen, 0.2)[1]) == {1}
+
+
+def test_a_gap_of_unclear_length_parts_a_recording() -> None:
+    """A vehicle that brakes is seen coarsely: whether two frames are missing or three cannot be told. The part that
+    shows the outlined vehicle is kept."""
+    order = [*range(5), *range(8, 14)]
+    seen = intervals([driving(9.0, -3.0)], order, 5.0)
+    coarse = [replace(d, covariance=d.covariance + 0.6**2 * np.eye(3)) for d in seen[4].displacements]
+    seen[4] = replace(seen[4], displacements=coarse)
+    _, steps, unclear = estimate_steps(seen, 0.2)
+    assert unclear == {4} and steps[4] > 1
+    for outlined, kept in ((2, list(range(5))), (7, list(range(5, 11)))):
+        corrected = frame_times(np.arange(11), np.arange(11) / 5, np.arange(1, 11), np.array(steps), 0.2, [outlined])
+        parted = clear_part(replace(corrected, unclear=np.array([5])), [outlined])
+        assert [parted.unclear_within(*span) for span in ((0, 4), (4, 8), (5, 8), (0, 9))] == [None, 5, None, 5]
+        assert parted.indices[parted.kept].tolist() == kept and not parted.gaps
+        assert not len(parted.unordered) and not len(parted.repeated) and parted.clear.sum() == len(kept)
 
 
 def test_a_vehicle_that_is_followed_wrongly_once_changes_no_time() -> None:

@@ -31,6 +31,7 @@ BEGINNINGS = {
     "calibration_differs_between_vehicles": "calibration",
     "speed_implausible": "implausible",
     "motion_implausible": "implausible",
+    "time_unclear": "time",
     "path_deviation_implausible": "implausible",
     "outline_inconsistent": "outline",
     "appearance_lost_from_start": "unlike itself",

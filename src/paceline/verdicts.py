@@ -136,6 +136,10 @@ _REJECTION_ROWS = {
         "Check that both views show the same vehicle and the same road line, and that `rate` or the time stamps are "
         "right.",
     ),
+    "time_unclear": (
+        "time: how many pictures are missing before frame {frame}, in the middle of its track, cannot be told",
+        "State when each frame was taken in times.csv.",
+    ),
     "motion_implausible": (
         "implausible: the vehicle {motion} with {acceleration:.1f} ± {std:.1f} m/s² (limit {max_acceleration:g})",
         "Check that no pictures are missing, repeated or out of order and that the time stamps are right, and look in "
@@ -318,8 +322,12 @@ _WARNING_ROWS = {
         "by what moves in them, frames are missing of which no file tells: {gaps}; the times are corrected for it",
         "Check why the recorder loses frames, or state when each was taken in times.csv.",
     ),
+    "frame_times_unclear": (
+        "{frames} left out: what moves does not tell how long before or after the others they were taken",
+        "State when each frame was taken in times.csv.",
+    ),
     "frames_out_of_order": (
-        "by what moves in them, {frames} not where taken in the order of the recording, and left out",
+        "by what moves in them, {frames} not taken in the order of the recording, and left out",
         "Check the names or the numbers of the pictures.",
     ),
     "frames_repeated": (

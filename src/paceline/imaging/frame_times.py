@@ -8,8 +8,8 @@ changes its velocity by no more than tyres allow.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ TIME_PRECISION_S = 1e-6
 MAX_HYPOTHESES = 32
 MAX_LOG_ODDS = 30.0  # of the likeliest hypothesis against those that are dropped
 MERGED_STEPS = 3  # hypotheses that agree in these last steps differ no longer
+CLEAR_LOG_ODDS = 3.0  # 20 to 1: of the likeliest hypothesis against others, from which on a step is clear
 DOWN = np.array([0.0, 1.0, 0.0])  # about, in the left camera's axes
 
 
@@ -52,7 +53,10 @@ class _Velocity:
 @dataclass(frozen=True, eq=False)
 class _Hypothesis:
     """So many steps, of which ``repetitions`` are 0 and the last ones are the ``latest``, the logarithm of their
-    probability and the velocity of each group under them; ``history`` links all of them, the last one first."""
+    probability and the velocity of each group under them; ``history`` links all of them, the last one first.
+
+    ``unclear`` are the places of steps in which hypotheses that are nearly as likely differed from it.
+    """
 
     log_probability: float
     velocities: dict[int, _Velocity]
@@ -60,6 +64,21 @@ class _Hypothesis:
     count: int = 0
     repetitions: int = 0
     history: tuple[Any, ...] = ()
+    unclear: frozenset[int] = frozenset()
+
+    def against(self, others: Iterable[_Hypothesis]) -> _Hypothesis:
+        """The same after it was preferred to the ``others``."""
+        unclear = set(self.unclear)
+        for other in others:
+            if self.log_probability - other.log_probability < CLEAR_LOG_ODDS:
+                unclear |= other.unclear
+                own, history, place = self.history, other.history, self.count - 1
+                while own is not history:
+                    (step, own), (other_step, history) = own, history
+                    if step != other_step:
+                        unclear.add(place)
+                    place -= 1
+        return replace(self, unclear=frozenset(unclear))
 
     @property
     def steps(self) -> list[int]:
@@ -81,13 +100,21 @@ class FrameTimes:
     """When the N frames of a recording were taken, ``times`` (s), and which of them are ``kept`` (N,): each once and in
     order.
 
-    ``gaps`` are the frames between which others are missing of which no file tells, and how many.
+    ``gaps`` are the frames between which others are missing of which no file tells, and how many. How long after the
+    ones before them those of ``unclear`` (U,) were taken cannot be told; frames that are not ``clear`` (N,) are left
+    out for that.
     """
 
     indices: Indices
     times: Array
     kept: Mask
     gaps: list[tuple[int, int, int]]
+    clear: Mask
+    unclear: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def unclear_within(self, first: int, last: int) -> int | None:
+        """The first unclear frame after ``first`` and not after ``last``, None where there is none."""
+        return next((n for n in self.unclear.tolist() if first < n <= last), None)
 
     @property
     def kept_frame(self) -> Indices:
@@ -100,23 +127,25 @@ class FrameTimes:
     @property
     def repeated(self) -> Indices:
         """The frames that are left out because they repeat one that is kept."""
-        return np.asarray(self.indices[~self.kept & (self.kept_frame >= 0)])
+        return np.asarray(self.indices[~self.kept & self.clear & (self.kept_frame >= 0)])
 
     @property
     def unordered(self) -> Indices:
         """The frames that are left out because frames before them were taken later, or frames after them earlier."""
-        return np.asarray(self.indices[~self.kept & (self.kept_frame < 0)])
+        return np.asarray(self.indices[~self.kept & self.clear & (self.kept_frame < 0)])
 
 
 def estimate_frame_times(
-    recording: StereoRecording, outlined: Iterable[int] = (), progress: Progress | None = None
+    recording: StereoRecording, outlined: Sequence[int] = (), progress: Progress | None = None
 ) -> FrameTimes:
     """When the frames of ``recording`` were taken, by what moves in them; those ``outlined`` are kept if possible."""
     period = recording.pairing.interval
     intervals = reported(rigid_motions(recording.rig, recording.frames()), len(recording), progress)
-    frames, steps = estimate_steps(intervals, period)
+    frames, steps, unclear = estimate_steps(intervals, period)
     seconds = np.array([second for _, second in frames], np.int64)
-    return frame_times(recording.indices, recording.times, seconds, np.array(steps, np.int64), period, outlined)
+    corrected = frame_times(recording.indices, recording.times, seconds, np.array(steps, np.int64), period, outlined)
+    corrected = replace(corrected, unclear=seconds[sorted(unclear)])
+    return clear_part(corrected, outlined) if outlined else corrected
 
 
 def reported(intervals: Iterable[Interval], count: int, progress: Progress | None) -> Iterator[Interval]:
@@ -133,7 +162,8 @@ def frame_times(
     """The `FrameTimes` of frames with ``indices`` (N,) and ``stated`` times (N,) s, of which ``frames`` (M,) were taken
     ``steps`` (M,) − 1 frame periods (``period`` s each) later after the one before them than stated."""
     if (steps == 1).all():
-        return FrameTimes(indices, stated, np.ones(len(stated), bool), [])
+        every_frame = np.ones(len(stated), bool)
+        return FrameTimes(indices, stated, every_frame, [], every_frame)
     delay = np.zeros(len(stated))
     delay[np.searchsorted(indices, frames)] = (steps - 1) * period
     conversion = rate_conversion(steps)
@@ -147,7 +177,21 @@ def frame_times(
         count = (times[b] - times[a]) / conversion - (stated[b] - stated[a])
         if (missing := round(count / period) - int(between.sum())) > 0:
             gaps.append((int(indices[a]), int(indices[b]), missing))
-    return FrameTimes(indices, times, selection, gaps)
+    return FrameTimes(indices, times, selection, gaps, np.ones(len(times), bool))
+
+
+def clear_part(corrected: FrameTimes, outlined: Sequence[int]) -> FrameTimes:
+    """That part of a ``corrected`` recording which is not interrupted before an unclear frame: the one with most of the
+    ``outlined`` frames, and of these the longest."""
+    if not len(corrected.unclear):
+        return corrected
+    part = np.searchsorted(corrected.unclear, corrected.indices, "right")
+    weights = np.where(np.isin(corrected.indices, outlined), len(part), 1) * corrected.kept
+    clear = part == np.argmax(np.bincount(part, weights))
+    selection = corrected.kept & clear
+    rows = corrected.indices[selection]
+    gaps = [gap for gap in corrected.gaps if rows[0] <= gap[0] and gap[1] <= rows[-1]]
+    return replace(corrected, kept=selection, gaps=gaps, clear=clear)
 
 
 def rate_conversion(steps: Indices) -> float:
@@ -182,16 +226,19 @@ def longest_increasing(times: Array, weights: Array, least: float) -> Mask:
     return selection
 
 
-def estimate_steps(intervals: Iterable[Interval], period: float) -> tuple[list[tuple[int, int]], list[int]]:
+def estimate_steps(
+    intervals: Iterable[Interval], period: float
+) -> tuple[list[tuple[int, int]], list[int], frozenset[int]]:
     """The frames of each of the ``intervals``, and how many frame periods (``period`` s each) it is longer than stated,
-    plus 1: the likeliest of all sequences of `STEPS`."""
+    plus 1: the likeliest of all sequences of `STEPS`. And the places of the steps that are not clear."""
     frames: list[tuple[int, int]] = []
     hypotheses = [_Hypothesis(0.0, {})]
     for interval in intervals:
         frames.append((interval.first, interval.second))
         steps = _possible_steps(interval, period) if interval.displacements else STEPS[:1]
         hypotheses = _pruned([_extended(h, interval, step, period) for h in hypotheses for step in steps])
-    return frames, hypotheses[0].steps
+    best = hypotheses[0].against(hypotheses[1:])
+    return frames, best.steps, best.unclear
 
 
 def _possible_steps(interval: Interval, period: float) -> list[int]:
@@ -203,8 +250,11 @@ def _pruned(hypotheses: list[_Hypothesis]) -> list[_Hypothesis]:
     """The likeliest of the ``hypotheses``, best first, and of those that differ no longer only the best."""
     hypotheses = sorted(hypotheses, key=lambda h: -h.log_probability)
     least = hypotheses[0].log_probability - MAX_LOG_ODDS
-    best = {h.latest: h for h in reversed(hypotheses) if h.log_probability > least}
-    return sorted(best.values(), key=lambda h: -h.log_probability)[:MAX_HYPOTHESES]
+    groups: dict[tuple[int, ...], list[_Hypothesis]] = {}
+    for hypothesis in hypotheses:
+        if hypothesis.log_probability > least:
+            groups.setdefault(hypothesis.latest, []).append(hypothesis)
+    return [best.against(others) for best, *others in groups.values()][:MAX_HYPOTHESES]
 
 
 def _extended(hypothesis: _Hypothesis, interval: Interval, step: int, period: float) -> _Hypothesis:
@@ -226,6 +276,7 @@ def _extended(hypothesis: _Hypothesis, interval: Interval, step: int, period: fl
         hypothesis.count + 1,
         hypothesis.repetitions + (step == 0),
         (step, hypothesis.history),
+        hypothesis.unclear,
     )
 
 

@@ -90,6 +90,9 @@ class RecordedCameras:
             notices.append(message("frames_missing_estimated", gaps=gaps))
         if len(found.unordered):
             notices.append(message("frames_out_of_order", frames=counted_frames(found.unordered)))
+        if not found.clear.all():
+            frames = counted_frames(found.indices[~found.clear])
+            notices.append(message("frame_times_unclear", frames=frames))
         if len(found.repeated):
             frames = counted_frames(found.repeated)
             notices.append(message("frames_repeated", source="left and right", frames=frames))

@@ -37,6 +37,7 @@ MIN_CARRIED_POINTS = 3  # of these that were in the group before
 MIN_GROUP_SHARE = 0.5  # of the points of a group that are found again
 MIN_GROUP_DISPLACEMENT_PX = 0.4  # by which a group moves in its first interval
 MATCH_STD_PX = 0.15  # of a point's place in the next frame, and of its disparity
+FEATURE_STD_PX = 1.0  # of its place there where only features tell it
 DISTORTION_STD = 0.02  # of its place there as a share of its displacement: it looks different from nearer
 COMMON_STD_PX = 0.04  # of what all points of a group share of these
 MAX_DISPLACEMENT_SIGMA = 4.0  # of a point's displacement from its group's
@@ -219,24 +220,29 @@ def _link(rig: StereoRig, earlier: StereoFrame, later: StereoFrame, a: _Points, 
         *pictures, a.left[i], b.left[j], 0, TRACKING_PRECISION_PX, MAX_TRACK_RETURN_PX
     )
     found &= np.linalg.norm(tracked - b.left[j], axis=1) < MAX_TRACK_CORRECTION_PX
-    i, j, tracked = i[found], j[found], tracked[found]
     if not len(i):
         none = np.zeros(0, np.int64)
         return _Links(none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 2)))
+    # what has come much nearer cannot be tracked: there the features' own places count
+    tracked = np.where(found[:, None], tracked, b.left[j])
     places = triangulate(rig, tracked, b.right[j] + tracked - b.left[j])
     pixels = tracked - a.left[i]
-    covariances = displacement_covariance(rig, a.places[i], places, pixels)
+    place_std = np.where(found, MATCH_STD_PX, FEATURE_STD_PX)
+    covariances = displacement_covariance(rig, a.places[i], places, pixels, place_std)
     return _Links(i, j, places - a.places[i], covariances, pixels)
 
 
-def displacement_covariance(rig: StereoRig, places: Array, later: Array, pixels: Array) -> Array:
+def displacement_covariance(
+    rig: StereoRig, places: Array, later: Array, pixels: Array, place_std: Array | float = MATCH_STD_PX
+) -> Array:
     """Covariance (N, 3, 3) m² of displacements from ``places`` (N, 3) to ``later`` (N, 3), by ``pixels`` (N, 2) in the
-    left view: by disparities along the rays, by places in that view across them."""
+    left view, the latter there to ``place_std`` (N,) px: by disparities along the rays, by places in that view across
+    them."""
     focal = rig.left.K[0, 0]
     ray = later / np.linalg.norm(later, axis=1, keepdims=True)
     along = np.einsum("ni,nj->nij", ray, ray)
     by_disparity = (places[:, 2] ** 4 + later[:, 2] ** 4) * (MATCH_STD_PX / (focal * rig.baseline)) ** 2
-    place_variance = MATCH_STD_PX**2 + DISTORTION_STD**2 * (pixels**2).sum(1)
+    place_variance = np.square(place_std) + DISTORTION_STD**2 * (pixels**2).sum(1)
     by_place = place_variance * (later[:, 2] / focal) ** 2
     return np.asarray(by_disparity[:, None, None] * along + by_place[:, None, None] * (np.eye(3) - along))
 

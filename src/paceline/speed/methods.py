@@ -10,16 +10,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 
+import numpy as np
+
 from paceline.cameras import VIEW_NAMES, Quantity
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
+from paceline.imaging.frame_times import FrameTimes
 from paceline.imaging.recorded_cameras import RecordedCameras, estimate_cameras
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrames, StereoRecording
 from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
-from paceline.speed.results import ClipResult, ExposureEstimate
+from paceline.speed.results import ClipResult, ExposureEstimate, Measurement
+from paceline.verdicts import message
 
 ENTRY_POINT_GROUP = "paceline.methods"  # group of the entry points
 DEFAULT_METHOD = "paceline"
@@ -130,6 +134,8 @@ def measure_as_seen(
         )
         for m in result.measurements
     ]
+    if (found := cameras.frame_times) is not None:
+        measurements = [_of_clear_times(m, found) for m in measurements]
     return replace(
         result,
         measurements=measurements,
@@ -138,6 +144,15 @@ def measure_as_seen(
         cameras=camera_summary(cameras, result.exposures),
         lag=cameras.lag,
     )
+
+
+def _of_clear_times(measurement: Measurement, found: FrameTimes) -> Measurement:
+    """The ``measurement``, rejected where its track goes on over frames whose times cannot be told."""
+    frames = measurement.track.frame[np.array([status == "tracking" for status in measurement.track.status], bool)]
+    if measurement.verdict == "rejected" or not len(frames):
+        return measurement
+    frame = found.unclear_within(int(frames[0]), int(frames[-1]))
+    return measurement if frame is None else measurement.with_verdict(message("time_unclear", frame=frame))
 
 
 def camera_summary(cameras: RecordedCameras, exposures: Mapping[str, ExposureEstimate]) -> dict[str, object]:
