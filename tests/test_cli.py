@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -161,6 +162,12 @@ def test_standard_output_that_cannot_be_written_is_one_line() -> None:
         done = subprocess.run([*COMMAND, "--version"], env=ENVIRONMENT, stdout=full, stderr=subprocess.PIPE, timeout=60)
     assert done.returncode == 0
     assert done.stderr == b"paceline: standard output cannot be written (No space left on device)\n"
+
+
+def test_without_standard_output_nothing_is_printed() -> None:
+    shell = f"{shlex.join([*COMMAND, '--version'])} >&-"
+    done = subprocess.run(shell, shell=True, env=ENVIRONMENT, capture_output=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
 
 def test_a_reader_that_has_gone_is_no_problem() -> None:

@@ -120,6 +120,20 @@ def test_a_vehicle_that_is_followed_wrongly_once_changes_no_time() -> None:
     assert set(estimate_steps(seen, 0.2)[1]) == {1}
 
 
+def test_a_repetition_is_recognised_by_times_of_whole_milliseconds() -> None:
+    """As of MKV files: of 30 frames/s each third interval is a millisecond longer."""
+    order = [k for k in range(12) for _ in range(1 + (k in (3, 5, 8)))]
+    stated = np.round(np.arange(len(order)) / 30, 3)
+    corrected = frame_times(np.arange(15), stated, np.arange(1, 15), np.array(steps_of(order)), 0.033)
+    assert corrected.repeated.tolist() == [4, 7, 11] and not len(corrected.unordered)
+
+
+def test_outlined_vehicles_on_both_sides_of_an_unclear_gap_keep_all_frames() -> None:
+    order = [*range(5), *range(8, 14)]
+    corrected = frame_times(np.arange(11), np.arange(11) / 5, np.arange(1, 11), np.array(steps_of(order)), 0.2)
+    assert clear_part(replace(corrected, unclear=np.array([5])), [2, 7]).kept.all()
+
+
 def test_frames_are_left_out_so_that_each_instant_is_kept_once_and_in_order() -> None:
     for order in (SWAPPED, MISSING, REPEATED, FIRST_REPEATED):
         indices, stated = np.arange(len(order)), np.arange(len(order)) / 5

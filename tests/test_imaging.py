@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from selection import slow_after
 
 from paceline.cameras import Camera, Quantity, RigUncertainty, StereoRig, perturbed_rig
-from paceline.documents.loading import VehicleDocument, load_clip
+from paceline.documents.assumed_calibration import with_assumed_uncertainty
+from paceline.documents.loading import EXACTLY_ZERO, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.geometry import epipolar_distance
 from paceline.imaging import outline_motion, recorded_cameras
@@ -314,6 +315,21 @@ def test_a_late_right_view_is_found_and_does_not_bias_the_speed(late_clip):
     assert abs(offset["value"] - 0.012) < 4 * offset["std"] and offset["std"] < 0.001
     assert measurement.verdict == "measured"
     assert measurement.speed_lo < 15.0 < measurement.speed_hi
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_time_between_the_views_that_time_stamps_tell_counts_once(late_clip, stated, tmp_path):
+    """Where nothing more is stated a further offset may be; where it is none, the rig has nothing to explain."""
+    stamps = np.arange(LATE_SCENE.frames) / LATE_SCENE.rate
+    rows = [f"{k},{t:.6f},{t + 0.012:.6f}" for k, t in enumerate(stamps)]
+    (tmp_path / "times.csv").write_text("\n".join(["frame,left_s,right_s", *rows]) + "\n")
+    clip = replace(
+        load_clip(late_clip), rate=None, times=tmp_path / "times.csv", offset=EXACTLY_ZERO if stated else None
+    )
+    clip = replace(clip, rig=with_assumed_uncertainty(clip.rig))
+    cameras = recorded_cameras.estimate_cameras(clip, open_recording(clip))
+    np.testing.assert_allclose(cameras.recording.skews, 0.012, atol=0.0 if stated else 0.002)
+    assert cameras.fit.rig_shift_sigma < 1.0
 
 
 @pytest.mark.parametrize("radius", slow_after(1, [-60.0, None]))

@@ -625,6 +625,17 @@ def test_a_video_without_time_stamps_needs_a_rate(name, codec, pixels):
         assert np.corrcoef(frame.left.ravel(), picture(20 * i).ravel())[0, 1] > 0.9
 
 
+def test_a_raw_stream_of_which_a_picture_is_lost_is_refused():
+    write_video("raw.mjpeg", range(6), [picture(i) for i in range(6)], "mjpeg", "yuvj420p", Fraction(1, 25))
+    content = bytearray(Path("raw.mjpeg").read_bytes())
+    third = [k for k in range(len(content) - 1) if content[k : k + 2] == b"\xff\xd8"][2]
+    content[third + 2 : third + 40] = bytes(38)  # its tables are lost
+    Path("damaged.mjpeg").write_bytes(bytes(content))
+    assert refusal(lambda: open_recording(clip("raw.mjpeg", "damaged.mjpeg", 10.0))).startswith(
+        "raw.mjpeg has 6 images and damaged.mjpeg 5"
+    )
+
+
 def test_a_video_of_one_frame_or_of_another_size_is_refused():
     write_video("one.mkv", [0], [picture(0)])
     assert refusal(lambda: open_source(Path("one.mkv"))) == "one.mkv: fewer than two frames can be decoded"

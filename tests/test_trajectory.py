@@ -301,6 +301,14 @@ def test_a_drawn_path_is_no_evidence_beyond_its_ends():
     np.testing.assert_allclose(deviation.angles(deviation.mean, u), 0.0, atol=0.01)
 
 
+def test_a_path_that_begins_beyond_the_track_tells_nothing_of_it():
+    path = curved_path()
+    arc, _ = fit_arc("v0", path.at(np.linspace(-40.0, -20.0, 9)))
+    deviation = deviation_from_arc(arc, 0.0, 15.0, path)
+    unseen = deviation_from_arc(arc, 0.0, 15.0, replace(path, modes=100.0 * path.modes))
+    np.testing.assert_allclose(deviation.modes, unseen.modes, atol=1e-9)
+
+
 @pytest.mark.parametrize("modes", [1.0, 30.0])
 def test_how_well_the_path_is_known_is_how_well_the_arc_is(modes):
     """Against the joint Gaussian of coefficients and path, conditioned on the path's angles by its covariance form."""

@@ -54,7 +54,8 @@ def track(
         cameras = estimate_cameras(loaded, open_recording(loaded))
         loaded, recording = cameras.clip, cameras.recording
         if not loaded.vehicles:
-            loaded = search.find_vehicles(loaded, recording, configuration=configuration or DEFAULTS).clip
+            found = search.find_vehicles(loaded, recording, configuration=configuration or DEFAULTS)
+            loaded = cameras.with_vehicles(found.clip).clip
             loaded = loaded if vehicle is None else _only(loaded, vehicle)
         frames = recording.frames(min((v.frame for v in loaded.vehicles), default=0))
     return measurement.track(loaded, frames, configuration or DEFAULTS, device)

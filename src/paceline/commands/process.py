@@ -39,7 +39,8 @@ class ReceivedSignals:
 class StandardOutput:
     """Stands in for standard output within its block, and drops what cannot be written, as to a full disk.
 
-    ``problem`` says afterwards why something was dropped; None where nothing was, or where the reader has gone.
+    ``problem`` says afterwards why something was dropped; None where nothing was, where the reader has gone, or where
+    there is no standard output.
     """
 
     def __init__(self) -> None:
@@ -63,12 +64,14 @@ class StandardOutput:
         return getattr(self._stream, name)
 
     def __enter__(self) -> None:
-        sys.stdout = self
+        if self._stream is not None:
+            sys.stdout = self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.flush()
+        if self._stream is not None:
+            self.flush()
         sys.stdout = self._stream
 
     def _drop(self, error: OSError) -> None:

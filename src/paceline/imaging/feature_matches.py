@@ -195,7 +195,8 @@ def _match_moving(
     frames: tuple[StereoFrame, StereoFrame, StereoFrame],
     regions: list[tuple[Mask, Mask, Mask]],
 ) -> Matches:
-    """Matches of the middle one of three ``frames``, with the velocities by the frames before and after."""
+    """Matches of the middle one of three ``frames``, with the velocities by the frames before and after: the left
+    points as they are when, by its time stamp, the right picture is exposed."""
     before, frame, after = frames
     left, descriptors = masked_features(detector, frame.left, regions[0][1])
     right, described = masked_features(detector, frame.right, regions[1][1])
@@ -211,7 +212,8 @@ def _match_moving(
     behind, ahead = left[rows] - places[0][rows], places[1][rows] - left[rows]
     steady = _is_steady(behind, ahead)
     dt = 0.5 * (after.time - before.time)
-    return Matches(pairs.left[steady], pairs.right[steady], *velocity_and_growth(behind[steady], ahead[steady], dt))
+    motion = velocity_and_growth(behind[steady], ahead[steady], dt)
+    return Matches(pairs.left[steady], pairs.right[steady], *motion).later(frame.skew)
 
 
 def velocity_and_growth(behind: Array, ahead: Array, dt: float) -> tuple[Array, Array]:

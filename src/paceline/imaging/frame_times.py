@@ -30,7 +30,6 @@ OUTLIER_PROBABILITY = 1e-4  # of a displacement that is wrong
 MAX_OUTLIER_SPEED_MPS = 90.0  # a wrong displacement is anywhere up to this speed
 FIRST_SPEED_STDS_MPS = 0.05, 20.0  # of vehicles that stand and that drive
 MIN_REGULAR_REPETITIONS = 3  # from which on they are a recorder's that repeats pictures to reach its rate
-TIME_PRECISION_S = 1e-6
 MAX_HYPOTHESES = 32
 MAX_LOG_ODDS = 30.0  # of the likeliest hypothesis against those that are dropped
 MERGED_STEPS = 3  # hypotheses that agree in these last steps differ no longer
@@ -110,6 +109,7 @@ class FrameTimes:
     kept: Mask
     gaps: list[tuple[int, int, int]]
     clear: Mask
+    period: float  # s, between the frames of a recording without faults
     unclear: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def unclear_within(self, first: int, last: int) -> int | None:
@@ -119,10 +119,11 @@ class FrameTimes:
     @property
     def kept_frame(self) -> Indices:
         """The frame (N,) that is kept of those taken at the time of each, −1 where none is."""
-        after = np.searchsorted(self.times[self.kept], self.times - TIME_PRECISION_S)
-        of_kept = np.append(self.indices[self.kept], -1)
-        taken = np.append(self.times[self.kept], np.inf)[after]
-        return np.asarray(np.where(taken - self.times < TIME_PRECISION_S, of_kept[after], -1))
+        kept_times, kept_indices = self.times[self.kept], self.indices[self.kept]
+        after = np.clip(np.searchsorted(kept_times, self.times), 1, max(len(kept_times) - 1, 1))
+        nearest = np.where(self.times - kept_times[after - 1] < kept_times[after] - self.times, after - 1, after)
+        same = np.abs(kept_times[nearest] - self.times) < self.period / 2
+        return np.asarray(np.where(same, kept_indices[nearest], -1))
 
     @property
     def repeated(self) -> Indices:
@@ -163,7 +164,7 @@ def frame_times(
     ``steps`` (M,) − 1 frame periods (``period`` s each) later after the one before them than stated."""
     if (steps == 1).all():
         every_frame = np.ones(len(stated), bool)
-        return FrameTimes(indices, stated, every_frame, [], every_frame)
+        return FrameTimes(indices, stated, every_frame, [], every_frame, period)
     delay = np.zeros(len(stated))
     delay[np.searchsorted(indices, frames)] = (steps - 1) * period
     conversion = rate_conversion(steps)
@@ -177,17 +178,17 @@ def frame_times(
         count = (times[b] - times[a]) / conversion - (stated[b] - stated[a])
         if (missing := round(count / period) - int(between.sum())) > 0:
             gaps.append((int(indices[a]), int(indices[b]), missing))
-    return FrameTimes(indices, times, selection, gaps, np.ones(len(times), bool))
+    return FrameTimes(indices, times, selection, gaps, np.ones(len(times), bool), period)
 
 
 def clear_part(corrected: FrameTimes, outlined: Sequence[int]) -> FrameTimes:
-    """That part of a ``corrected`` recording which is not interrupted before an unclear frame: the one with most of the
-    ``outlined`` frames, and of these the longest."""
-    if not len(corrected.unclear):
-        return corrected
+    """That part of a ``corrected`` recording which holds the ``outlined`` frames and is not interrupted before an
+    unclear one; all of it where these frames lie in several parts."""
     part = np.searchsorted(corrected.unclear, corrected.indices, "right")
-    weights = np.where(np.isin(corrected.indices, outlined), len(part), 1) * corrected.kept
-    clear = part == np.argmax(np.bincount(part, weights))
+    parts = np.unique(part[np.isin(corrected.indices, outlined)])
+    if not len(corrected.unclear) or len(parts) != 1:
+        return corrected
+    clear = part == parts[0]
     selection = corrected.kept & clear
     rows = corrected.indices[selection]
     gaps = [gap for gap in corrected.gaps if rows[0] <= gap[0] and gap[1] <= rows[-1]]

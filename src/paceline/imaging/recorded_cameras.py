@@ -58,6 +58,12 @@ class RecordedCameras:
         camera = self.recording.rig.cameras[side]
         return camera.turned(pixels, vectors.reshape(len(frame), *(1,) * (pixels.ndim - 2), 3))
 
+    def with_vehicles(self, clip: Clip) -> RecordedCameras:
+        """The same for the vehicles of ``clip``, with how far each moves from the left exposure of its frame to the
+        right one."""
+        vehicles = [replace(v, displacement=displacement_of(v, clip.rig, self.recording)) for v in clip.vehicles]
+        return replace(self, clip=replace(clip, vehicles=vehicles))
+
     @property
     def notices(self) -> list[Message]:
         """What a user should know about the cameras."""
@@ -133,7 +139,7 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
         recorded, recording = recording, recording.with_lag(lag)
         clip = with_outlines_in_pairs(clip, recorded, recording)
     rig = replace(clip.rig, left=with_readout(clip.rig.left), right=with_readout(clip.rig.right))
-    rotations = estimate_rotations(recording, reference_frame(clip, recording), progress)
+    rotations = estimate_rotations(recording, reference_frame(clip, recording, lag), progress)
     vectors = expected_rotations(rotations) if rotations.is_stationary else np.zeros_like(rotations.vectors)
     steady = recording.corrected(0.0, vectors if vectors.any() else None)
     frame_times = None
@@ -151,14 +157,19 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     steady = steady.corrected(offset.value, steady.rotations)
     offset = replace(offset, value=lag + offset.value)
     cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit, lag, frame_times)
-    clip = with_displacements(with_steady_outlines(cameras), steady)
-    return replace(cameras, clip=clip)
+    cameras = cameras.with_vehicles(with_steady_outlines(cameras))
+    for i, vehicle in enumerate(cameras.clip.vehicles):
+        require_same_part(clip.path, fit.rig, i, vehicle)
+    return cameras
 
 
-def reference_frame(clip: Clip, recording: StereoRecording) -> StereoFrame:
-    """The frame on which paths were drawn, the first one where the ``clip`` states none. Raises UnusableInput."""
+def reference_frame(clip: Clip, recording: StereoRecording, lag: float = 0.0) -> StereoFrame:
+    """The frame on which paths were drawn, the first one where the ``clip`` states none. Raises UnusableInput.
+
+    After a ``lag`` (s) was found that frame may have no partner: then it is the next one that has.
+    """
     n = clip.drawn_on
-    frame = next(recording.frames() if n is None else recording.frames(n, n + 1), None)
+    frame = next(recording.frames() if n is None else recording.frames(n, None if lag else n + 1), None)
     if frame is not None:
         return frame
     if n is None:
@@ -254,26 +265,16 @@ def pictures_between(recording: StereoRecording, side: int, first: int, last: in
     return pictures if first < last else pictures[::-1]
 
 
-def with_displacements(clip: Clip, recording: StereoRecording) -> Clip:
-    """The clip with how far its vehicles move from the left exposure of their frames to the right one.
-
-    Raises UnusableInput for outlines that cannot be of the same part of such a vehicle.
-    """
-    vehicles = [replace(v, displacement=displacement_of(v, clip.rig, recording)) for v in clip.vehicles]
-    for i, vehicle in enumerate(vehicles):
-        require_same_part(clip.path, clip.rig, i, vehicle)
-    return replace(clip, vehicles=vehicles)
-
-
 def displacement_of(vehicle: VehicleDocument, rig: StereoRig, recording: StereoRecording) -> Array:
     """How far (3,) m a ``vehicle`` moves from the left exposure of its frame to the right one.
 
-    That is by the motion of its left outline until the next frame, or from the last one to the one before.
+    That is by the motion of its left outline within the next frames or, at the end of a recording, those before.
     """
     n = int(np.searchsorted(recording.indices, vehicle.frame))
     if n == len(recording) or recording.indices[n] != vehicle.frame or not recording.skews[n]:
         return np.zeros(3)
-    numbers = recording.indices[[n, n + 1 if n + 1 < len(recording) else n - 1]]
+    step = velocity_step(recording)
+    numbers = recording.indices[[n, n + step if n + step < len(recording) else max(n - step, 0)]]
     frames = {frame.index: frame for frame in recording.frames(int(numbers.min()), int(numbers.max()) + 1)}
     if len(frames) < 2:
         return np.zeros(3)  # one of them cannot be decoded

@@ -236,7 +236,12 @@ class VideoFile:
             self._seekable, self._is_timed = False, None not in pts
         if not self._is_timed:
             self._seekable, time_base, key, stated_end = False, Fraction(1), None, None
-            pts = [picture.pts for picture in self._decode()]
+            packets, pts = len(pts), [picture.pts for picture in self._decode()]
+            if len(pts) < packets:
+                raise UnusableInput(
+                    f"{self.name}: {packets - len(pts)} of {packets} pictures cannot be decoded, and without stamps "
+                    "nothing tells when the others were taken; expected a whole stream, or one with time stamps"
+                )
         stamps = sorted({p for p in pts if p is not None})
         if left_out := backward + len(pts) - len(stamps):
             self.notices.append(message("frames_restamped", video=self.name, frames=plural(left_out, "frame")))

@@ -164,7 +164,7 @@ def open_camera(clip: CameraSource) -> CameraRecording:
     elif source.times is None:
         if clip.rate is None:
             raise UnusableInput(f"{clip.path}: rate: missing; {clip.video} has no time stamps")
-        times = np.arange(len(source)) / clip.rate
+        times = _frame_counters(source) / clip.rate
     else:
         times = source.times
         _note_unused_rate(clip, source)
@@ -176,7 +176,7 @@ def _note_unused_rate(clip: CameraSource, source: ImageSource | Feed) -> None:
         source.notices.append(message("rate_ignored", clip=clip.path, source=f"{source.name} carries its"))
 
 
-def _frame_counters(images: ImageFiles) -> Array:
+def _frame_counters(images: ImageSource) -> Array:
     """The images' places in the recording (N,), from 0: numbers in their names that skip mean dropped frames."""
     numbers = images.numbers
     if numbers is not None:

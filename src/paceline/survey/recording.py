@@ -83,7 +83,7 @@ def measure_recording(
         summary = methods.camera_summary(cameras, {})
         result = ClipResult(str(clip.path), [], [], settings, versions(), notices, 0.0, cameras=summary)
     else:
-        result = measured(replace(cameras, clip=search.clip))
+        result = measured(cameras.with_vehicles(search.clip))
         result = replace(result, notices=[*result.notices, *search.notices])
     if isinstance(detect, OnnxDetector):
         result = replace(

@@ -108,11 +108,12 @@ def deviation_from_arc(
     drawn = (path.s[0] <= s) & (s <= path.s[-1])  # beyond its ends the path is not known
     tangent = np.einsum("uij,ui->uj", F[drawn], path.frames(s[drawn])[:, :, 0])
     angles = (tangent[:, 1:] / tangent[:, :1]).T  # yaw and pitch of the path, seen from the arc
-    reconstruction = _principal_components(path, s[0] - u[0], u, True, driver)[..., drawn].reshape(-1, angles.size)
+    components = _principal_components(path, s[0] - u[0], u, True, driver)[..., drawn]
+    reconstruction = components.reshape(len(components), angles.size)
     covariance = reconstruction.T @ reconstruction + ARC_MISFIT_STD_RAD**2 * np.eye(angles.size)
     gradients = np.stack(arc.heading_modes(start + u), axis=1)
     B = np.concatenate([_polynomial_modes(u, TURN_PRIOR), gradients])
-    observed = B[..., drawn].reshape(-1, angles.size)
+    observed = B[..., drawn].reshape(len(B), angles.size)
     weighted = np.linalg.solve(covariance, observed.T)
     information, axes = np.linalg.eigh(observed @ weighted + np.eye(len(B)))
     root = axes / np.sqrt(information)  # of the covariance of the coefficients of B
