@@ -264,6 +264,7 @@ def test_targets_follow_the_vehicle(kind: str) -> None:
     assert 0 < abs(moved) < 0.05
 
 
+@pytest.mark.slow
 def test_an_occlusion_hides_the_lead_and_passes() -> None:
     for kind, least in (("vehicle", 0.4), ("post", 0.9)):
         crossed = replace(BEHIND, occlusions=(Occlusion(1.3, 0.8, kind),))

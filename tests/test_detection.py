@@ -211,6 +211,7 @@ def search(tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
     return find_vehicles(clip, open_recording(clip))
 
 
+@pytest.mark.slow
 def test_vehicles_in_both_directions_are_found_once_at_their_positions(search: SearchResult) -> None:
     clip = search.clip
     assert [v.id for v in search.clip.vehicles] == ["v0", "v1"] and not search.reason and not search.notices

@@ -23,7 +23,7 @@ def recording(name: str) -> Path:
     return clip
 
 
-@pytest.mark.parametrize("name", slow_after(1, ["curve", "straight"]))
+@pytest.mark.parametrize("name", slow_after(0, ["curve", "straight"]))
 def test_a_physically_rendered_clip(name: str) -> None:
     clip = recording(f"rendered/{name}")
     (m,) = measure_clip(clip).measurements
