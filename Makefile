@@ -17,9 +17,7 @@ LOCK = uv pip compile pyproject.toml --universal --python-version 3.11 --fork-st
 
 # Tests go out in order, in chunks that shrink: few modules prepare their fixtures twice, and no worker waits at the end.
 # (Work stealing left three workers waiting for each other.)
-# One worker more than cores, as live sources, interrupts and the browser are waited for.
-WORKERS = $(shell echo $$(( $$(getconf _NPROCESSORS_ONLN) + 1 )))
-PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist load
+PYTEST = $(BIN)/python -m pytest -n auto --dist load
 
 .PHONY: demo test test-all ready-for-tests lint results lock clean
 
