@@ -99,6 +99,7 @@ def edge(profile: Array) -> float:
     return float(len(profile) - profile.sum() / plateau - 0.5)
 
 
+@pytest.mark.slow
 def test_the_leads_outline_has_the_true_corners() -> None:
     """Two paints, everything else the same: what differs is the rear plane, however varied its surroundings."""
     light, truths = frames(replace(BEHIND, object_density=0.0, paint=170.0))

@@ -94,6 +94,7 @@ def test_nothing_measured_is_status_1_with_the_reason(clip: Path, tmp_path: Path
     assert "Rejected: " in (tmp_path / "out" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_nothing_behind(clip: Path, tmp_path: Path) -> None:
     command = [*COMMAND, "speed", str(clip), "-o", str(tmp_path / "out"), "--particles", "20000"]
     process = subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

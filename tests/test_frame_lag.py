@@ -76,6 +76,7 @@ def test_outlines_are_followed_into_the_frames_that_belong_together(lagging):
         assert np.abs(error - growth * drawn).max() < 1.0
 
 
+@pytest.mark.slow
 def test_a_vehicle_is_measured_by_videos_that_were_started_by_hand(lagging):
     rendered, path = lagging
     result = measure_clip(path)

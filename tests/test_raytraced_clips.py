@@ -93,6 +93,7 @@ def test_the_lines_lie_on_paint(written: Path) -> None:
     assert along(0.0) > max(along(-12.0), along(12.0)) + 15
 
 
+@pytest.mark.slow
 def test_an_interrupted_clip_is_resumed(written: Path, tmp_path: Path) -> None:
     whole = contents(written)
     folder = tmp_path / "again"

@@ -59,6 +59,7 @@ def test_there_is_a_test_for_every_script_of_the_examples() -> None:
     assert {file.name for file in EXAMPLES.glob("*.py")} == {"make_chase_clip.py", "make_demo_clip.py"}
 
 
+@pytest.mark.slow
 def test_the_demo_clip_is_what_its_script_makes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(EXAMPLES / "make_demo_clip.py", tmp_path, monkeypatch=monkeypatch)
     for name in ("clip.yaml", "truth.json"):
