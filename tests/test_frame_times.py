@@ -128,6 +128,12 @@ def test_a_repetition_is_recognised_by_times_of_whole_milliseconds() -> None:
     assert corrected.repeated.tolist() == [4, 7, 11] and not len(corrected.unordered)
 
 
+def test_a_part_may_be_a_single_frame() -> None:
+    corrected = frame_times(np.arange(8), np.arange(8) / 5, np.arange(1, 8), np.array(steps_of(MISSING)), 0.2)
+    parted = clear_part(replace(corrected, unclear=np.array([1])), [0])
+    assert parted.kept_frame.tolist() == [0, *[-1] * 7] and not len(parted.repeated) and not len(parted.unordered)
+
+
 def test_outlined_vehicles_on_both_sides_of_an_unclear_gap_keep_all_frames() -> None:
     order = [*range(5), *range(8, 14)]
     corrected = frame_times(np.arange(11), np.arange(11) / 5, np.arange(1, 11), np.array(steps_of(order)), 0.2)

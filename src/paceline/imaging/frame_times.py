@@ -119,8 +119,9 @@ class FrameTimes:
     @property
     def kept_frame(self) -> Indices:
         """The frame (N,) that is kept of those taken at the time of each, −1 where none is."""
-        kept_times, kept_indices = self.times[self.kept], self.indices[self.kept]
-        after = np.clip(np.searchsorted(kept_times, self.times), 1, max(len(kept_times) - 1, 1))
+        kept_times = np.array([-np.inf, *self.times[self.kept], np.inf])
+        kept_indices = np.array([-1, *self.indices[self.kept], -1])
+        after = np.searchsorted(kept_times, self.times)
         nearest = np.where(self.times - kept_times[after - 1] < kept_times[after] - self.times, after - 1, after)
         same = np.abs(kept_times[nearest] - self.times) < self.period / 2
         return np.asarray(np.where(same, kept_indices[nearest], -1))
