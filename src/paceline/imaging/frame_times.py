@@ -19,7 +19,7 @@ from paceline.imaging.rigid_motions import Displacement, Interval, rigid_motions
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 
-STEPS = (1, 0, 2, 3, 4, 5, -1, -2)  # intervals from one frame to the next
+FRAME_STEPS = (1, 0, 2, 3, 4, 5, -1, -2)  # intervals from one frame to the next
 FAULT_PROBABILITY = 1e-6  # of each step but 1; recorders that have repeated pictures do so again more often
 # Accelerations (m/s²) along the direction of travel, sideways and upwards: their standard deviations in ordinary
 # driving and where tyres are used to their limits (twice these), and how probable either is
@@ -232,20 +232,20 @@ def estimate_steps(
     intervals: Iterable[Interval], period: float
 ) -> tuple[list[tuple[int, int]], list[int], frozenset[int]]:
     """The frames of each of the ``intervals``, and how many frame periods (``period`` s each) it is longer than stated,
-    plus 1: the likeliest of all sequences of `STEPS`. And the places of the steps that are not clear."""
+    plus 1: the likeliest of all sequences of `FRAME_STEPS`. And the places of the steps that are not clear."""
     frames: list[tuple[int, int]] = []
     hypotheses = [_Hypothesis(0.0, {})]
     for interval in intervals:
         frames.append((interval.first, interval.second))
-        steps = _possible_steps(interval, period) if interval.displacements else STEPS[:1]
+        steps = _possible_steps(interval, period) if interval.displacements else FRAME_STEPS[:1]
         hypotheses = _pruned([_extended(h, interval, step, period) for h in hypotheses for step in steps])
     best = hypotheses[0].against(hypotheses[1:])
     return frames, best.steps, best.unclear
 
 
 def _possible_steps(interval: Interval, period: float) -> list[int]:
-    """Those of `STEPS` after which an ``interval`` takes some time, or is that to a repetition."""
-    return [step for step in STEPS if step == 0 or abs(interval.duration + (step - 1) * period) > period / 2]
+    """Those of `FRAME_STEPS` after which an ``interval`` takes some time, or is that to a repetition."""
+    return [step for step in FRAME_STEPS if step == 0 or abs(interval.duration + (step - 1) * period) > period / 2]
 
 
 def _pruned(hypotheses: list[_Hypothesis]) -> list[_Hypothesis]:

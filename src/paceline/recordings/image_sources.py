@@ -229,9 +229,7 @@ class VideoFile:
                 stated_end = _stated_end(container, stream)
         except av.FFmpegError as error:
             raise UnusableInput(f"{self.name}: cannot be read as a video ({error.strerror})") from error
-        if (
-            self._is_timed and pts and None in pts
-        ):  # the container numbers its packets only; the decoder may know better
+        if self._is_timed and None in pts:  # the container numbers its packets only; the decoder may know better
             pts, key = [picture.pts for picture in self._decode()], None
             self._seekable, self._is_timed = False, None not in pts
         if not self._is_timed:

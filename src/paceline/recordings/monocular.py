@@ -157,13 +157,12 @@ def open_camera(clip: CameraSource) -> CameraRecording:
         _note_unused_rate(clip, live)
         return CameraRecording(clip.camera, live, None)
     source = open_source(path, clip.bit_depth)
-    if isinstance(source, ImageFiles):
+    if source.times is None:
         if clip.rate is None:
-            raise UnusableInput(f"{clip.path}: rate: missing; a folder of images needs it")
-        times = _frame_counters(source) / clip.rate
-    elif source.times is None:
-        if clip.rate is None:
-            raise UnusableInput(f"{clip.path}: rate: missing; {clip.video} has no time stamps")
+            untimed = (
+                "a folder of images needs it" if isinstance(source, ImageFiles) else f"{clip.video} has no time stamps"
+            )
+            raise UnusableInput(f"{clip.path}: rate: missing; {untimed}")
         times = _frame_counters(source) / clip.rate
     else:
         times = source.times

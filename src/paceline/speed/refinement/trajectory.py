@@ -36,7 +36,7 @@ MOTION_TERMS = ("acceleration", "varying_acceleration", "lane_change", "curvatur
 EXPOSURE_QUANTITIES = ("offset", "left readout", "right readout")
 DIFFERENCE_STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-6])
 AMPLITUDE_STEP = 1e-3
-KNOTS = 97  # along a vehicle's own path, between which it is interpolated
+OWN_PATH_KNOTS = 97  # along a vehicle's own path, between which it is interpolated
 
 CONSTANT_SPEED_STD_MPS2 = 0.01  # m/s², of the acceleration at a speed that is kept constant, as by cruise control
 LOG_DEPTH_STD = 0.3
@@ -214,7 +214,7 @@ class Trajectory:
         start = self._ray * np.exp(parameters[:, :1])
         travelled = np.tensordot(parameters, self._distance_jacobian, (1, 2))
         distances = np.concatenate([np.zeros((len(parameters), 1)), travelled.reshape(len(parameters), -1)], axis=1)
-        u = np.linspace(distances.min() - 1.0, distances.max() + 1.0, KNOTS)
+        u = np.linspace(distances.min() - 1.0, distances.max() + 1.0, OWN_PATH_KNOTS)
         yaw, pitch = self.deviation.angles(
             parameters[:, len(MOTION_PARAMETER_NAMES) :][:, : len(self.deviation.modes)], u
         )

@@ -13,7 +13,7 @@ from paceline.arrays import Array
 from paceline.numba_cache import cached_njit
 
 NEAREST_STEPS, NEAREST_PRECISION_M = 20, 1e-9  # of the search for the place on a path that is nearest to a point
-STEEP = 1e-6  # horizontal part of a unit tangent below which the path runs along the camera's y axis
+MIN_HORIZONTAL_SHARE = 1e-6  # of a unit tangent; below, the path runs along the camera's y axis
 
 
 @cached_njit(nogil=True, error_model="numpy")
@@ -103,7 +103,7 @@ def _rolled_frame(tangent: Array, roll: float, frame: Array) -> None:
     length = math.sqrt(tangent[0] ** 2 + tangent[1] ** 2 + tangent[2] ** 2)
     x, y, z = tangent[0] / length, tangent[1] / length, tangent[2] / length
     horizontal = math.sqrt(x**2 + z**2)
-    px, pz = (1.0, 0.0) if horizontal < STEEP else (z / horizontal, -x / horizontal)
+    px, pz = (1.0, 0.0) if horizontal < MIN_HORIZONTAL_SHARE else (z / horizontal, -x / horizontal)
     bx, by, bz = y * pz, z * px - x * pz, -y * px
     c, s = math.cos(roll), math.sin(roll)
     frame[0, 0], frame[1, 0], frame[2, 0] = x, y, z
