@@ -26,12 +26,12 @@ from paceline.detection.lane_paths import LanePath, PlaneGrid, image_pyramid, la
 from paceline.detection.photo_consistency import LocalStatistics, local_ncc
 from paceline.detection.planar_face import best_rectangle
 from paceline.detection.search import SearchResult, find_vehicles
-from paceline.detection.tracks import theil_sen_slope
 from paceline.documents.loading import VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.background import shorth_background
 from paceline.recordings.stereo import StereoFrame, open_recording
+from paceline.robust_line import theil_sen_slope
 from paceline.simulation.stereo.clip import RenderedClip, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.configuration import DEFAULTS, DetectionSettings, SpeedConfiguration

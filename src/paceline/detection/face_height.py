@@ -16,8 +16,8 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.detection.planar_face import AlignedDetection, PlanarFace, face_positions
-from paceline.detection.tracks import theil_sen_slope
 from paceline.documents.loading import VehicleDocument
+from paceline.robust_line import theil_sen_slope
 from paceline.speed.configuration import DEFAULT_LIMITS, DEFAULTS, DriverSettings
 from paceline.speed.geometry.initial_plane import plane_from_outlines
 from paceline.speed.refinement.keyframes import Keyframe

@@ -22,9 +22,10 @@ from paceline.detection.planar_face import (
     similarity,
     with_visible_face,
 )
-from paceline.detection.tracks import DetectionTrack, TrackAssociator, motion_residuals, theil_sen_slope
+from paceline.detection.tracks import DetectionTrack, TrackAssociator, motion_residuals
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
+from paceline.robust_line import theil_sen_slope
 from paceline.speed.configuration import DEFAULTS, SpeedConfiguration
 from paceline.verdicts import NO_REASON, Message, message
 

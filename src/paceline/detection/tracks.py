@@ -10,6 +10,7 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.detection.detector import FINE_GRID, Detection
 from paceline.detection.lane_paths import LanePath
+from paceline.robust_line import theil_sen_slope
 from paceline.speed.configuration import DEFAULT_LIMITS
 
 MIN_NCC = 0.5  # least NCC of the faces of one vehicle in two frames
@@ -171,12 +172,6 @@ class DetectionTrack:
 
 def _absolute_deviation(s: Array) -> float:
     return float(np.abs(s - np.median(s)).sum())
-
-
-def theil_sen_slope(t: Array, s: Array) -> float:
-    """The median of the slopes of all pairs (Theil and Sen); NaN where there is none."""
-    i, j = np.triu_indices(len(t), 1)
-    return float(np.median((s[j] - s[i]) / (t[j] - t[i]))) if len(i) else float("nan")
 
 
 def motion_residuals(t: Array, s: Array, error: Array) -> Array:

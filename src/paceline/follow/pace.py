@@ -10,6 +10,7 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.recordings.odometry import Pose
+from paceline.robust_line import theil_sen_slope
 
 PAUSE = 0.5  # s for which a target was not seen, after which it is asked
 LATELY, OFTEN = 1.0, 6  # s before, from which its speed is known, if it was seen for half of them and so often
@@ -118,6 +119,5 @@ def _motion(seen: list[Sight], time: float) -> tuple[float, float]:
 
 def theil_sen(times: Array, places: Array, time: float) -> tuple[float, float]:
     """The place at a ``time`` and the speed by ``places`` (N,) at ``times`` (N,): medians (Theil 1950, Sen 1968)."""
-    one, other = np.triu_indices(len(times), 1)
-    speed = np.median((places[other] - places[one]) / (times[other] - times[one]))
-    return float(np.median(places - speed * (times - time))), float(speed)
+    speed = theil_sen_slope(times, places)
+    return float(np.median(places - speed * (times - time))), speed
