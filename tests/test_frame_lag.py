@@ -33,6 +33,11 @@ def lagging(request, tmp_path_factory) -> tuple[RenderedClip, Path]:
     return rendered, write(rendered, tmp_path_factory.mktemp("lagging") / "clip")
 
 
+@pytest.fixture(scope="module")
+def lag(lagging: tuple[RenderedClip, Path]) -> float:
+    return estimate_lag(open_recording(load_clip(lagging[1])))
+
+
 def clip_and_truth(lagging: tuple[RenderedClip, Path]) -> tuple[Clip, dict[int, dict[str, np.ndarray]]]:
     """The clip, and its vehicle's corners (4, 2) px by frame and view."""
     rendered, path = lagging
@@ -40,10 +45,8 @@ def clip_and_truth(lagging: tuple[RenderedClip, Path]) -> tuple[Clip, dict[int, 
     return load_clip(path), corners
 
 
-def test_the_lag_is_found_to_the_nearest_frame(lagging):
-    rendered, path = lagging
-    lag = estimate_lag(open_recording(load_clip(path)))
-    assert lag == pytest.approx(0.1 * round(rendered.errors.offset / 0.1))
+def test_the_lag_is_found_to_the_nearest_frame(lagging, lag):
+    assert lag == pytest.approx(0.1 * round(lagging[0].errors.offset / 0.1))
 
 
 def test_videos_at_the_same_time_do_not_lag(tmp_path):
@@ -60,11 +63,11 @@ def test_matches_count_where_their_motion_would_show_a_lag():
     assert LaggedMatches(matches.distance + 4.0, velocity).agreement(0.1)[0] == 0
 
 
-def test_outlines_are_followed_into_the_frames_that_belong_together(lagging):
+def test_outlines_are_followed_into_the_frames_that_belong_together(lagging, lag):
     """The truth of a pair in the files is that of the left and the right picture of the same number."""
     clip, corners = clip_and_truth(lagging)
     recorded = open_recording(clip)
-    paired = recorded.with_lag(estimate_lag(recorded))
+    paired = recorded.with_lag(lag)
     (before,), (after,) = clip.vehicles, with_outlines_in_pairs(clip, recorded, paired).vehicles
     n = int(np.searchsorted(paired.indices, after.frame))
     assert paired.indices[n] == after.frame >= before.frame
