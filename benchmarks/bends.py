@@ -1,7 +1,7 @@
 """Vehicles on bends that cross the view, and on straights: ours and Lucas–Kanade on the same clips in one run.
 
 python benchmarks/bends.py [--n 4] [--seed 1] [--radii 20 30 45 60 80] [--rates 5 10 25] [--straights 0] [--free]
-    [--workers 1] [--renderer drawn|raytraced] [--clips FOLDER]
+    [--aside 0] [--workers 1] [--renderer drawn|raytraced] [--clips FOLDER]
 
 With ``--radii`` alone, without a number, each seed draws its radius from 30 to 80 m.
 """
@@ -20,7 +20,7 @@ import numpy as np
 from baselines import Outcome, compare_methods, measured, outcome_cell
 from common import PLAIN_RIG, Rows, head, machine, raytraced, rendered, rms, row, share_out
 
-from paceline.documents.loading import Clip
+from paceline.documents.loading import Clip, VehicleDocument
 from paceline.simulation.random_scenes.drawn import random_bend, random_scene
 from paceline.simulation.random_scenes.raytraced import random_raytraced_bend, random_raytraced_straight
 from paceline.simulation.raytraced.scene_yaml import SpeedScene
@@ -70,9 +70,15 @@ def folder_name(case: Case) -> str:
     return road + (f"_{case.rate:g}hz" if case.rate != 5 else "") + f"_{case.seed}"
 
 
-def run(case: Case, renderer: str, free: bool, clips: Path | None) -> Compared:
-    """The clip of a case by every method; ``free``: without the drawn road line. Ray-traced clips are kept in a folder
-    ``clips``."""
+def moved_aside(vehicle: VehicleDocument, share: float) -> VehicleDocument:
+    """``vehicle`` with its outlines to the right of where they were drawn, by a ``share`` of their width."""
+    shift = np.array([share * np.ptp(vehicle.left[:, 0]), 0.0])
+    return replace(vehicle, left=vehicle.left + shift, right=vehicle.right + shift)
+
+
+def run(case: Case, renderer: str, free: bool, aside: float, clips: Path | None) -> Compared:
+    """The clip of a case by every method, without the drawn road line if ``free``, the outline moved ``aside`` by a
+    share of its width. Ray-traced clips are kept in a folder ``clips``."""
     kind: str
     made: AbstractContextManager[tuple[Clip, Rows]]
     if renderer == "raytraced":
@@ -86,6 +92,7 @@ def run(case: Case, renderer: str, free: bool, clips: Path | None) -> Compared:
     with made as (clip, truth):
         if free:
             clip = replace(clip, paths={}, vehicles=[replace(v, path=None) for v in clip.vehicles])
+        clip = replace(clip, vehicles=[moved_aside(v, aside) for v in clip.vehicles])
         outcomes = compare_methods(clip, truth, METHODS)
     return Compared(case, STRAIGHT if radius is None else abs(radius), kind, outcomes)
 
@@ -122,6 +129,7 @@ def main() -> None:
     parser.add_argument("--radii", type=float, nargs="*", default=DRAWN_RADII_M, help="m; none: drawn from 30–80 m")
     parser.add_argument("--rates", type=float, nargs="+", default=[5.0, 10.0, 25.0], help="frames/s")
     parser.add_argument("--free", action="store_true", help="without the drawn road line")
+    parser.add_argument("--aside", type=float, default=0.0, help="outlines this share of their width to the right")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--clips", type=Path, help="folder where ray-traced clips are kept; those there are not redone")
     args = parser.parse_args()
@@ -130,7 +138,7 @@ def main() -> None:
     cases = [Case(*values) for values in (*bends, *straights)]
     print(head("radius, m", "frames/s", "seed", "vehicle", *METHODS), flush=True)
     compared: list[Compared] = []
-    work = partial(run, renderer=args.renderer, free=args.free, clips=args.clips)
+    work = partial(run, renderer=args.renderer, free=args.free, aside=args.aside, clips=args.clips)
     for c in share_out(work, cases, args.workers):
         compared.append(c)
         found = (outcome_cell(o) for o in c.outcomes)

@@ -243,6 +243,7 @@ class VehicleMeasurement:
         """What the images determine of the rig; ``student`` is the quantile for the noise's interval."""
         mean, gradients = refined.trajectory.mean_speed_gradient, refined.trajectory.speed_jacobian
         noise, model = (float(np.sqrt(mean @ C @ mean)) for C in (fit.covariance, refined.model_covariance))
+        model = float(np.hypot(model, refined.reference_std))
         variances = np.einsum("fi,ij,fj->f", gradients, fit.covariance + refined.model_covariance, gradients)
         return RigInformation(
             offset=fit.offset,
@@ -251,7 +252,7 @@ class VehicleMeasurement:
             mean_speed_std=float(np.hypot(noise, model)),
             half_width=float(np.hypot(student * noise, COVERAGE_95 * model)),
             speed_jacobian=self._by_row(gradients @ fit.response),
-            speed_stds=self._by_row(np.sqrt(variances)),
+            speed_stds=self._by_row(np.sqrt(variances + refined.reference_std**2)),
             exposure_stds=refined.trajectory.timing.stds,
             synchronisation=self._synchronisation(refined),
         )
@@ -283,6 +284,10 @@ class VehicleMeasurement:
             notices.append(message("rig_uncertainty_missing", rig="rig.yaml"))
         if self._is_off_path:
             notices.append(message("path_not_followed", path=self.vehicle.path))
+        if any(beside := refined.reference.beside):
+            left, right = beside
+            sides = "both sides" if left and right else "the left" if left else "the right"
+            notices.append(message("outline_beside_vehicle", share=left + right, side=sides))
         hidden = sum(e.similarity < MIN_REFERENCE_SIMILARITY for e in self.estimates)
         if hidden:
             notices.append(message("occluded_frames", frames=plural(hidden, "frame")))

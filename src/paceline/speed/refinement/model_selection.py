@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from paceline.arrays import Array
 from paceline.speed.configuration import DEFAULTS
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.photometric_fit import MIN_MODEL_PROBABILITY, PhotometricFit
+from paceline.speed.refinement.reference_point import ReferencePoint
 from paceline.speed.refinement.self_calibration import RigEstimate
 from paceline.speed.refinement.trajectory import MOTION_TERMS, Trajectory, prior
 
@@ -48,12 +50,31 @@ class RefinedMotion:
     deviation_sigma: float  # RMS over the modes of the deviation from the path, in prior standard deviations
     dof: float
     converged: bool
+    reference: ReferencePoint = ReferencePoint()  # whose speed it is
 
     def speeds(self) -> tuple[Array, Array]:
         """Speed (F,) at every frame and its standard deviation (F,), systematic part included where known; m/s."""
         g = self.trajectory.speed_jacobian
         total = self.covariance + self.model_covariance + np.nan_to_num(self.systematic_covariance)
-        return g @ self.theta, np.sqrt(np.einsum("fi,ij,fj->f", g, total, g))
+        by_width = np.gradient(self._distance_across, self.trajectory.frame_times)
+        variance = np.einsum("fi,ij,fj->f", g, total, g) + (self.reference.std * by_width) ** 2
+        return g @ self.theta + self.reference.shift * by_width, np.sqrt(variance)
+
+    @cached_property
+    def _distance_across(self) -> Array:
+        """How much farther (F,) than the region's middle a point one width to its right has come, m."""
+        return self.trajectory.distance_across(self.theta)
+
+    @property
+    def reference_std(self) -> float:
+        """Standard deviation of the mean speed (m/s) as the outline does not show where the vehicle's middle is."""
+        return abs(self.reference.std * self._speed_by_width)
+
+    @property
+    def _speed_by_width(self) -> float:
+        """The mean speed (m/s) of a point one width to the right of the region's middle, relative to this."""
+        t = self.trajectory.frame_times
+        return float((self._distance_across[-1] - self._distance_across[0]) / (t[-1] - t[0]))
 
     def accelerations(self) -> tuple[Array, Array]:
         """Accelerations (F − 1, 2) between successive frames along the path and across it, and their standard
@@ -70,7 +91,8 @@ class RefinedMotion:
         g = self.trajectory.mean_speed_gradient
         covariances = self.covariance, self.model_covariance, self.systematic_covariance
         noise, model, systematic = (float(np.sqrt(g @ C @ g)) for C in covariances)
-        return float(g @ self.theta), noise, model, systematic
+        speed = float(g @ self.theta) + self.reference.shift * self._speed_by_width
+        return speed, noise, float(np.hypot(model, self.reference_std)), systematic
 
 
 def refine(
@@ -142,4 +164,5 @@ def refine(
         fit.deviation_sigma,
         fit.dof,
         fit.converged,
+        fit.reference_point,
     )

@@ -25,6 +25,7 @@ from paceline.arrays import Array
 from paceline.speed.refinement import robust_covariance
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.pyramid import ROWS_PER_PATCH, PatchGrid, PyramidLevel, areas, build_levels
+from paceline.speed.refinement.reference_point import ReferencePoint, reference_point
 from paceline.speed.refinement.self_calibration import RigEstimate, RigParameters, fixed_rig, rig_directions
 from paceline.speed.refinement.trajectory import PARAMETER_INDEX, Prior, Trajectory
 
@@ -443,6 +444,11 @@ class PhotometricFit:
         base = self.levels[0]
         sides = (base.variance[base.views % 2 == side] for side in (0, 1))
         return float(np.sqrt(max(np.median(variance) for variance in sides if len(variance))))
+
+    @property
+    def reference_point(self) -> ReferencePoint:
+        """Where in the outline the middle of the vehicle is."""
+        return reference_point(*self.levels[0].variances_by_column())
 
     @property
     def contrast(self) -> float:

@@ -70,7 +70,7 @@ class PyramidLevel:
         v = 0.5 + within[1] * ((np.arange(down * y) + 0.5) / (down * y) - 0.5)
         samples = np.stack([*np.meshgrid(u, v), np.ones((down * y, across * x))])
         patches = samples.reshape(3, down, y, across, x).swapaxes(2, 3)
-        self.patches, self.samples = down * across, y * x
+        self.patches, self.samples, self.columns = down * across, y * x, across
         self.points = patches.reshape(3, -1)
         self.ramps = self.points[:2].reshape(2, self.patches, self.samples)
         rows = (2 * np.arange(y) + 1) * ROWS_PER_PATCH // (2 * y)
@@ -131,6 +131,12 @@ class PyramidLevel:
         offsets = -np.linalg.solve(A.astype(float) + 1e-6 * np.eye(2), score.astype(float))[..., 0]
         unexplained = self.residual_variance.sum(1) / np.maximum(self.image_variance.sum(1), 1e-9)
         return np.asarray(offsets), np.asarray(1.0 - unexplained)
+
+    def variances_by_column(self) -> tuple[Array, Array]:
+        """The variance of the images (columns,) in the columns of patches from left to right, and the part of it that
+        the motion does not explain (columns,), both in the median view."""
+        image, residual = (np.median(v, axis=0) for v in (self.image_variance, self.residual_variance))
+        return image.reshape(-1, self.columns).mean(0), residual.reshape(-1, self.columns).mean(0)
 
     @property
     def _patch_weights(self) -> Array:

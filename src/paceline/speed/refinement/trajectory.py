@@ -242,6 +242,16 @@ class Trajectory:
         mean_speed = (speed[..., 1:] + speed[..., :-1]) / 2
         return np.stack([np.diff(speed, axis=-1) / np.diff(self.frame_times), mean_speed * angle / duration], axis=-1)
 
+    def distance_across(self, theta: Array) -> Array:
+        """How much farther (F,) than the region's middle a point has come, m, that is one width of the region to its
+        right, by ``theta`` (n,): on a bend the outer side of a vehicle is faster."""
+        R, _, n, d = self.motion(theta)
+        left, right = self.rig.left.rays(0.5 * (self.quad[[0, 1]] + self.quad[[3, 2]]))
+        width = d * (right / (n @ right) - left / (n @ left))
+        ahead = np.diff(self.centres(theta), axis=0)
+        ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+        return np.append(0.0, np.cumsum((np.diff(R[:, 0] @ width, axis=0) * ahead).sum(1)))
+
     def homographies(self, theta: Array) -> tuple[Array, Array]:
         """H (…, F, 2, 3, 3) from the unit square to both views by ``theta`` (…, n), and ∂H/∂d."""
         return self._view_homographies(self.rig, *self.motion(theta))

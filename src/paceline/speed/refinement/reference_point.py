@@ -1,0 +1,64 @@
+"""The point of a vehicle whose speed is reported: the middle of the face that was outlined.
+
+On a bend the outer side of a vehicle is faster than its inner one. Where a part of the outline shows what does not move
+with the vehicle, such as the road beside it, the middle of the outline is not the middle of the vehicle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from paceline.arrays import Array, Mask
+
+# The least share of its variance that the motion explains in a column of patches of the vehicle. In 15 outlines of
+# ray-traced vehicles, 12 of them moved aside, columns on the vehicle had 0.95 and more, those beside it 0.88 and less.
+MIN_EXPLAINED_SHARE = 0.92
+# What the motion does not explain is not the vehicle where its residual variance is larger than this, relative to the
+# columns' lower quartile, or its variance smaller than this, relative to the columns' median: as plain as a road. What
+# lies between may be a part of a vehicle of so little contrast that noise hides it.
+MIN_RESIDUAL_RATIO, MAX_PLAIN_RATIO = 1.5, 0.1
+# Where one side of the outline is beside the vehicle, by a share a of the outline's width, the vehicle reaches beyond
+# the other side by 0 (the outline is too wide) to a (it is as wide as the vehicle): the middle is a u off, u from 1/2
+# to 1 with a density that grows from 0, as outlines mostly are as wide as the vehicle. Mean and variance of u:
+ONE_SIDED_SHIFT, ONE_SIDED_VARIANCE = 5 / 6, 1 / 72
+
+
+@dataclass(frozen=True, eq=False)
+class ReferencePoint:
+    """The middle of the vehicle, ``shift`` ± ``std`` widths of the outline to the right of the outline's middle.
+
+    Shares ``beside`` (2,) of the width, at the left and at the right, do not show the vehicle.
+    """
+
+    shift: float = 0.0
+    std: float = 0.0
+    beside: tuple[float, float] = (0.0, 0.0)
+
+
+def reference_point(image_variance: Array, residual_variance: Array) -> ReferencePoint:
+    """The middle of the vehicle, from the variance of the images (columns,) and the part of it that the motion does not
+    explain (columns,), in the columns of an outline from left to right."""
+    moves = residual_variance <= (1.0 - MIN_EXPLAINED_SHARE) * image_variance
+    is_larger = residual_variance > MIN_RESIDUAL_RATIO * np.quantile(residual_variance, 0.25)
+    is_plain = image_variance < MAX_PLAIN_RATIO * np.median(image_variance)
+    other = ~moves & (is_larger | is_plain)
+    if not moves.any():
+        return ReferencePoint()
+    columns = len(moves)
+    beside = [_columns_beside(moves, other), _columns_beside(moves[::-1], other[::-1])]
+    # the edge of the vehicle is anywhere within the next column
+    left, right = ((k + 0.5) / columns if k else 0.0 for k in beside)
+    edge_variance = columns**-2 / 12
+    if left and right:
+        return ReferencePoint((left - right) / 2, float(np.sqrt(edge_variance / 2)), (left, right))
+    shift = ONE_SIDED_SHIFT * (left - right)
+    squared = ((left + right) ** 2 + edge_variance) * (ONE_SIDED_SHIFT**2 + ONE_SIDED_VARIANCE)
+    return ReferencePoint(shift, float(np.sqrt(squared - shift**2)) if shift else 0.0, (left, right))
+
+
+def _columns_beside(moves: Mask, other: Mask) -> int:
+    """How many columns before the first that ``moves`` (columns,) with the vehicle show something ``other`` (columns,),
+    or lie before such a column."""
+    return int(np.max(np.flatnonzero(other[: np.argmax(moves)]) + 1, initial=0))

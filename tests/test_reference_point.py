@@ -1,0 +1,81 @@
+"""The middle of the vehicle where the outline is partly beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from selection import slow_after
+
+from paceline.documents.loading import load_clip
+from paceline.simulation.random_scenes.drawn import random_bend
+from paceline.simulation.stereo.clip import render, write
+from paceline.speed.measurement import measure_clip
+from paceline.speed.refinement.reference_point import reference_point
+
+MPH = 0.44704  # m/s
+
+
+def variances(columns: int, left: int, right: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of images of a textured vehicle between ``left`` and ``right`` columns of something else."""
+    image, residual = np.full(columns, 100.0), np.full(columns, 0.5)
+    for side in (slice(0, left), slice(columns - right, columns)):
+        image[side], residual[side] = 6.0, 3.0
+    return image, residual
+
+
+def test_an_outline_of_the_vehicle_alone_has_its_middle() -> None:
+    point = reference_point(*variances(5, 0, 0))
+    assert (point.shift, point.std, point.beside) == (0.0, 0.0, (0.0, 0.0))
+
+
+@given(columns=st.integers(4, 12), share=st.floats(0.15, 0.5), overlap=st.floats(0, 1), side=st.sampled_from([-1, 1]))
+def test_the_middle_is_about_where_it_is_said_to_be(columns: int, share: float, overlap: float, side: int) -> None:
+    """The vehicle reaches beyond the other side by any part of what the outline is beside it."""
+    beside = int(columns * share)  # a column that the vehicle fills in part moves with it
+    point = reference_point(*variances(columns, *((beside, 0) if side > 0 else (0, beside))))
+    true = 0.5 * side * share * (1 + overlap) if beside else 0.0
+    assert abs(point.shift - true) <= 3.5 * point.std or not beside
+    assert point.std < share
+
+
+def test_a_vehicle_within_the_outline_is_known_to_a_column() -> None:
+    point = reference_point(*variances(8, 2, 1))
+    assert point.shift == pytest.approx(0.5 / 8) and point.std == pytest.approx(1 / 8 / np.sqrt(24))
+
+
+def test_a_part_of_little_contrast_belongs_to_the_vehicle() -> None:
+    """As in the dark, where noise hides it."""
+    image, residual = np.full(6, 2.5), np.full(6, 0.1)
+    image[0], residual[0] = 0.4, 0.1
+    assert reference_point(image, residual).shift == 0.0
+
+
+def test_a_plain_road_is_beside_the_vehicle() -> None:
+    image, residual = variances(6, 2, 0)
+    image[:2] = residual[:2] = 0.5  # noise
+    assert reference_point(image, residual).beside == (2.5 / 6, 0.0)
+
+
+def test_nothing_is_said_of_what_does_not_move_as_fitted() -> None:
+    assert reference_point(np.full(5, 3.0), np.full(5, 2.0)).shift == 0.0
+
+
+@pytest.mark.parametrize("seed, aside", slow_after(1, [(3, 0.3), (3, -0.3), (5, 0.35), (5, -0.35)]))
+def test_an_outline_partly_beside_the_vehicle_gives_the_speed_of_its_middle(
+    tmp_path: Path, seed: int, aside: float
+) -> None:
+    scene = random_bend(seed)
+    clip = load_clip(write(render(scene), tmp_path / "clip"))
+    (vehicle,) = clip.vehicles
+    shift = np.array([aside * np.ptp(vehicle.left[:, 0]), 0.0])
+    vehicle = replace(vehicle, left=vehicle.left + shift, right=vehicle.right + shift)
+    (m,) = measure_clip(replace(clip, vehicles=[vehicle])).measurements
+    assert m.verdict == "measured", m.reason
+    assert m.speed_lo <= scene.vehicles[0].speed <= m.speed_hi
+    assert m.speed_hi - m.speed_lo < 1.2 * MPH
+    assert any(notice.startswith("about") and "of the outline's width" in notice for notice in m.notices)
