@@ -104,10 +104,10 @@ def test_a_wheel_beside_a_faint_side_is_not_taken_for_it() -> None:
     image = cv2.GaussianBlur(image, (0, 0), 0.6)
     learned = learn_target(image, (99.5, 99.5, 156.5, 140.5), 2.0, CAMERA, "van")
     f, sides = tiny_chase.F, 57.0
-    assert learned.center[0] == pytest.approx(128.0, abs=0.1)
-    assert learned.target.nominal_range == pytest.approx(f * 2.0 / sides, rel=0.003)
-    # one side is a line, the other is where the hand put it
-    assert learned.target.tolerance == pytest.approx(np.hypot(0.4, 1.0) * 2.0 / sides, rel=0.01)
+    assert learned.center[0] == pytest.approx(128.0, abs=0.2)
+    assert learned.target.nominal_range == pytest.approx(f * 2.0 / sides, rel=0.007)
+    # one side is an edge, the other is where the hand put it
+    assert np.hypot(0.24, 0.9) < learned.relative_std * sides < np.hypot(0.4, 1.3)
 
 
 def test_the_uncertainty_of_the_width_is_that_of_the_model() -> None:
@@ -208,7 +208,7 @@ def test_the_command_writes_a_model_and_its_image(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert {p.name for p in folder.iterdir()} == {"camera.yaml", "van.png", "target.yaml", "target.png"}
     assert load_target(folder / "target.yaml").name == "the van"
-    assert "target.png" in done.stdout
+    assert "target.png" in done.stdout and "uncertain by ±" in done.stdout and not done.stderr
     start = yaml.safe_load(done.stdout.splitlines()[-1])["start"]
     assert start["scale"] == 1.0 and len(start["center"]) == 2
     assert cv2.imread(str(folder / "target.png")).shape[0] > 300

@@ -426,6 +426,12 @@ _INFORMATION_ROWS = {
         "{clip}: rate is not used, because {source} own time stamps",
         "Take `rate` out.",
     ),
+    "lines_beyond_sides": (
+        "vertical lines lie up to {distance_px:.1f} px outside the vehicle's sides, which are {width_px:.1f} ± "
+        "{std_px:.1f} px apart by the box and the edges beside it; the ranges go by the sides",
+        "Look at these lines in the picture and delete those on a shadow or the background. If they are the sides, "
+        "draw the box again.",
+    ),
     "source_ended": ("{source}: the source ended{problem}", "If it should go on, check the camera."),
     "source_silent": ("{source}: the source ended (nothing came for {limit_s:.0f} s)", "Check the camera."),
     "video_codec_fallback": (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +30,7 @@ def target_learn(
     from paceline.recordings.image_sources import read_image_file, to_grey
     from paceline.reports.target import start_entry, write_target
     from paceline.targets.learning import learn_target
+    from paceline.units import COVERAGE_95
 
     if out.suffix and image.resolve() in (out.resolve(), out.with_suffix(".png").resolve()):
         raise UnusableInput(f"--out {out}: would write over the picture {image}; expected another name")
@@ -40,6 +42,10 @@ def target_learn(
         raise UnusableInput(f"{image}: {unusable}") from None
     image_file = write_target(learned, picture, out)
     print(f"{len(learned.target.segments)} lines in {out}; look at them in {image_file}")
+    half_width = COVERAGE_95 * learned.relative_std
+    print(f"ranges by it are uncertain by ± {half_width:.1%} (95 %), besides what each frame adds")
+    for notice in learned.notices:
+        print(f"note: {notice}. {notice.advice}", file=sys.stderr)
     print(f"follow.yaml, where this picture is the first frame:\n{start_entry(learned)}")
     return EXIT_DONE
 

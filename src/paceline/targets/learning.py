@@ -18,6 +18,9 @@ from paceline.arrays import Array, Image
 from paceline.cameras import Camera
 from paceline.documents.loading import TargetDocument
 from paceline.errors import UnusableInput
+from paceline.targets.side_estimation import EDGE_SEARCH_PX, Side, estimate_side, side_edges, width_std
+from paceline.units import COVERAGE_95
+from paceline.verdicts import Message, message
 
 End = tuple[str, int, int]  # h or v, which line, 0 for its start and 1 for its stop
 
@@ -26,18 +29,14 @@ BLUR_SIGMA_PX = 0.7  # blur that removes the pixel noise before the gradient
 MIN_GRADIENT = 2.5  # least gradient across an edge
 SATURATION_GRADIENT = 30.0  # gradient above which edges have no more weight
 MAX_TILT_TANGENT = np.tan(np.deg2rad(15.0))  # δ of [NIST] (7)
+MAX_SIDE_TILT_TANGENT = 1.0  # of the edge points that show a side, which what lies behind it interrupts
 # Lines: px, and as a share of the box
 LINE_TOLERANCE = (0.6, 0.008)  # distance of edge points from their line
 MIN_LINE_LENGTH = (6.0, 0.1)
 MIN_LINE_SPACING = (2.5, 0.04)  # least distance between parallel lines side by side
 BOX_MARGIN = (1.5, 0.03)  # margin outside the box in which the vehicle's own outline may be
 MAX_CORNER_GAP = (3.0, 0.06)  # greatest distance between the ends of two lines that share a corner
-MAX_SIDE_OFFSET = (2.0, 0.04)  # greatest distance from a side of the box to the line that replaces it
 GAP_PENALTY = 1.0  # cost of a missing edge point on a line, in points
-# Sides of the box
-MIN_SIDE_LINE_SHARE = 0.4  # least length as a share of the box's height: shorter lines belong to wheels or lamps
-MIN_SIDE_STRENGTH_RATIO = 0.4  # least strength relative to the strongest line near that side
-LINE_SIDE_STD_PX, BOX_SIDE_STD_PX = 0.4, 1.0  # standard deviation of a side on a line, and of a side as drawn
 MIN_LINES_PER_DIRECTION, MAX_LINES_PER_DIRECTION, MIN_LINES = 2, 7, 5
 MIN_BOX_PX = 16.0
 MIN_BOX_WIDTH_M, MAX_BOX_WIDTH_M = 0.2, 10.0
@@ -64,6 +63,12 @@ class LearnedTarget:
     target: TargetDocument
     center: Array  # (2,) px of the image as recorded
     corners: Array  # (C, 2) px of the image as recorded
+    notices: tuple[Message, ...] = ()
+
+    @property
+    def relative_std(self) -> float:
+        """Standard deviation of every range by this model, as a share of the range."""
+        return self.target.tolerance / float(np.ptp(self.target.ends[:, 0]))
 
 
 def learn_target(
@@ -71,8 +76,8 @@ def learn_target(
 ) -> LearnedTarget:
     """The line model of the vehicle inside ``box`` (x0, y0, x1, y1) of ``image`` (H, W), 0–255.
 
-    ``width`` in metres is that of the box. A side of the box is moved onto a long vertical line beside it, if there is
-    one; the remaining uncertainty of the width is the model's tolerance.
+    ``width`` in metres is that of the vehicle, whose sides are estimated from the box and the edges beside it; the
+    remaining uncertainty of their distance is the model's tolerance.
     Raises UnusableInput for a box that cannot be, or that encloses too few lines.
     """
     if image.shape != camera.image_size[::-1]:
@@ -91,19 +96,34 @@ def learn_target(
             f"{MIN_LINES_PER_DIRECTION} of each and {MIN_LINES} in all; draw it around the whole rear, or choose a "
             "sharper or nearer picture"
         )
-    sides, stds = zip(*(_side(vertical, x, size) for x in (x0, x1)), strict=True)
+    rising, falling = (_edge_points(sign * smooth, box, EDGE_SEARCH_PX, MAX_SIDE_TILT_TANGENT) for sign in (1, -1))
+    points = np.concatenate([rising, falling])
+    left, right = (estimate_side(x, side_edges(points, x, (y0, y1))) for x in (x0, x1))
     corners, segments = join_lines(horizontal, vertical, np.maximum(MAX_CORNER_GAP[0], MAX_CORNER_GAP[1] * size))
-    center = np.array([0.5 * (sides[0] + sides[1]), 0.5 * (y0 + y1)])
+    center = np.array([0.5 * (left.position + right.position), 0.5 * (y0 + y1)])
 
     ideal = camera.undistort_points(corners)
     middle = camera.undistort_points(center)
-    edges = camera.undistort_points(np.array([[x, center[1]] for x in sides]))
+    sides = camera.undistort_points(np.array([[side.position, center[1]] for side in (left, right)]))
     f = camera.K[[0, 1], [0, 1]]
-    nominal_range = f[0] * width / (edges[1, 0] - edges[0, 0])
+    width_px = float(sides[1, 0] - sides[0, 0])
+    nominal_range = f[0] * width / width_px
     metres = _axis_aligned((ideal - middle) * nominal_range / f, segments)
-    tolerance = float(np.hypot(*stds) * nominal_range / f[0])
+    tolerance = width_std(left, right) / width_px * float(np.ptp(metres[:, 0]))
     target = TargetDocument(name, round(float(nominal_range), 4), np.round(metres, 4), segments, round(tolerance, 4))
-    return LearnedTarget(target, np.round(center, 2), corners)
+    notices = _lines_beyond_sides(vertical, left, right)
+    return LearnedTarget(target, np.round(center, 2), corners, notices)
+
+
+def _lines_beyond_sides(vertical: list[Line], left: Side, right: Side) -> tuple[Message, ...]:
+    """A notice where vertical lines lie outside of the 95 % intervals of the vehicle's sides."""
+    distances = [d for line in vertical for d in (left.position - line.place, line.place - right.position)]
+    limits = [COVERAGE_95 * std for _ in vertical for std in (left.total_std, right.total_std)]
+    beyond = [d for d, limit in zip(distances, limits, strict=True) if d > limit]
+    if not beyond:
+        return ()
+    width, std = right.position - left.position, width_std(left, right)
+    return (message("lines_beyond_sides", distance_px=max(beyond), width_px=width, std_px=std),)
 
 
 def corner_names(count: int) -> list[str]:
@@ -133,9 +153,10 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
     max_offset = LINE_TOLERANCE[0] + LINE_TOLERANCE[1] * max(across, along)
     shortest = max(MIN_LINE_LENGTH[0], MIN_LINE_LENGTH[1] * along)
     min_distance = max(MIN_LINE_SPACING[0], MIN_LINE_SPACING[1] * across)
+    margin = max(BOX_MARGIN[0], BOX_MARGIN[1] * max(across, along))
     lines: list[Line] = []
     for sign in (1, -1):
-        points = _edge_points(sign * image, box)
+        points = _edge_points(sign * image, box, margin, MAX_TILT_TANGENT)
         while (
             len(points) and _max_count_within(points[:, 0], 2 * max_offset) > 0.5 * shortest
         ):  # fewer make no line so long
@@ -150,14 +171,14 @@ def find_lines(image: Image, box: tuple[float, float, float, float]) -> list[Lin
     return sorted(chosen, key=lambda line: line.place)
 
 
-def _edge_points(image: Image, box: tuple[float, float, float, float]) -> Array:
-    """Where ``image`` grows brightest from left to right: x to a fraction of a pixel, y, gradient; shape (N, 3)."""
+def _edge_points(image: Image, box: tuple[float, float, float, float], margin: float, max_tilt_tangent: float) -> Array:
+    """Where ``image`` grows brightest from left to right within ``margin`` px about ``box``: x to a fraction of a
+    pixel, y, gradient; shape (N, 3)."""
     x0, y0, x1, y1 = box
-    margin = max(BOX_MARGIN[0], BOX_MARGIN[1] * max(x1 - x0, y1 - y0))
     gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8)
     gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8)
     left, mid, right = gx[:, :-2], gx[:, 1:-1], gx[:, 2:]
-    peak = (mid >= MIN_GRADIENT) & (mid > left) & (mid >= right) & (np.abs(gy[:, 1:-1]) < MAX_TILT_TANGENT * mid)
+    peak = (mid >= MIN_GRADIENT) & (mid > left) & (mid >= right) & (np.abs(gy[:, 1:-1]) < max_tilt_tangent * mid)
     y, x = np.nonzero(peak)
     a, b, c = (part[y, x].astype(float) for part in (left, mid, right))
     fraction = 0.5 * (a - c) / (a - 2 * b + c)
@@ -209,19 +230,6 @@ def _too_close(line: Line, other: Line, min_distance: float) -> bool:
     """Whether two lines are so near side by side that a tracker would confuse them."""
     overlap = min(line.stop, other.stop) - max(line.start, other.start)
     return overlap > 0 and abs(line.place - other.place) < min_distance
-
-
-def _side(vertical: list[Line], x: float, size: Array) -> tuple[float, float]:
-    """Where a side of a box of this ``size`` (2,) is, and its standard deviation: on the clear line nearest to it, if
-    a long one is near, or else at ``x``."""
-    reach, min_length = max(MAX_SIDE_OFFSET[0], MAX_SIDE_OFFSET[1] * size[0]), MIN_SIDE_LINE_SHARE * size[1]
-    near_lines = [line for line in vertical if abs(line.place - x) <= reach and line.length >= min_length]
-    clear = [
-        line.place
-        for line in near_lines
-        if line.strength >= MIN_SIDE_STRENGTH_RATIO * max(n.strength for n in near_lines)
-    ]
-    return (min(clear, key=lambda place: abs(place - x)), LINE_SIDE_STD_PX) if clear else (x, BOX_SIDE_STD_PX)
 
 
 # --- corners -------------------------------------------------------------------------------------------------------

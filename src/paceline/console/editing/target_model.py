@@ -81,7 +81,7 @@ def project_model(camera: Camera, target: object, start: object) -> Plain:
 
 def learn_model(camera: Camera, picture: Image, frame: int, box: list[float], width: float, name: str) -> Plain:
     """Learns a model from the lines inside a ``box`` (x0, y0, x1, y1) of a ``frame``'s ``picture`` that is ``width`` m
-    wide; returns it with its start. Raises UnusableInput."""
+    wide; returns it with its start and notices. Raises UnusableInput."""
     x0, y0, x1, y1 = box
     try:
         learned = learn_target(picture, (x0, y0, x1, y1), width, camera, name)
@@ -95,7 +95,8 @@ def learn_model(camera: Camera, picture: Image, frame: int, box: list[float], wi
         "segments": [[names[a], names[b]] for a, b in learned.target.segments],
         "tolerance": learned.target.tolerance,
     }
-    return {"target": target, "start": {"frame": frame, "center": learned.center.tolist(), "scale": 1.0}}
+    start = {"frame": frame, "center": learned.center.tolist(), "scale": 1.0}
+    return {"target": target, "start": start, "notices": [f"{notice}. {notice.advice}" for notice in learned.notices]}
 
 
 def centred_start(camera: Camera, target: TargetModel, frame: int) -> Plain:

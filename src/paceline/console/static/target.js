@@ -266,11 +266,11 @@ class TargetEditor extends EditorElement {
 
   async useModel(request, text) {
     try {
-      const { target, start } = await request();
+      const { target, start, notices = [] } = await request();
       this.box = null;
       this.model.change((m) => Object.assign(m, { target, start }));
       this.take("place");
-      this.showMessage(`${target.segments.length} lines ${text}`);
+      this.showMessage([`${target.segments.length} lines ${text}`, ...notices].join(" Note: "));
     } catch (error) {
       this.showMessage(error.message, true);
     }
