@@ -62,6 +62,19 @@ def test_problems_of_a_placed_model_are_reported() -> None:
     )
 
 
+def test_a_note_comes_with_a_learned_model() -> None:
+    """Dark wheels stand out by 2 px on both sides of the body: their lines lie outside of the box."""
+    picture = np.full((242, 256), 100.0, np.float32)
+    picture[100:140, 90:160] = 60.0
+    for y in (104, 112, 120, 128):
+        picture[y : y + 3, 100:150] = 160.0
+    picture[118:150, 88:90] = picture[118:150, 160:162] = 20.0
+    camera = Camera((256, 242), K)
+    found = learn_model(camera, picture, 0, [89.2, 99.5, 159.8, 139.5], 1.8, "saloon")
+    (note,) = found["notices"]
+    assert "outside the vehicle's sides" in note and "draw the box again" in note
+
+
 def test_a_learned_model_equals_that_of_the_command(tmp_path: Path) -> None:
     file = tiny_chase.write(tmp_path, 2)
     pictures, box = ChaseFrames(file), [round(v, 2) for v in box_of(1)]
