@@ -10,6 +10,7 @@ from console_client import HOST, SAME
 from fastapi import FastAPI, WebSocket
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from paceline.console.access_control import AccessControl
 from paceline.console.server import _host_names, _public_address
@@ -20,10 +21,17 @@ FOREIGN = [
     {"host": HOST, "origin": "http://evil.example"},
     {"host": HOST, "origin": "null"},
     {"host": HOST, "origin": "http://127.0.0.1:3000"},
+    {"host": HOST, "origin": f"https://{HOST}"},  # another program, though on the same port
+    {"host": HOST, "origin": "http://127.0.0.1"},
+    {"host": HOST, "origin": "http://["},
+    {"host": HOST, "origin": "http://127.0.0.1:x"},
     {"host": HOST, "sec-fetch-site": "cross-site"},
     {"host": HOST, "sec-fetch-site": "same-site", "sec-fetch-dest": "image"},
     {"host": HOST, "sec-fetch-site": "cross-site", "sec-fetch-dest": "iframe"},
 ]
+
+
+OTHER_SITES = [("http", "evil.example"), ("https", HOST), ("ws", HOST)]
 
 
 @pytest.mark.parametrize("headers", FOREIGN)
@@ -64,6 +72,25 @@ def test_an_address_that_others_reach_requires_its_token() -> None:
         assert client.get("/", headers={"origin": "http://evil.example"}).status_code == 403
 
 
+@pytest.mark.parametrize("host", ["road.example", "road.example:443"])
+def test_pages_behind_a_proxy_that_encrypts_are_its_own(host: str) -> None:
+    """As uvicorn serves it: a proxy on this machine says by which scheme it was asked."""
+    app = FastAPI()
+
+    @app.get("/")
+    def page() -> str:
+        return "the console"
+
+    proxied: Any = ProxyHeadersMiddleware(AccessControl(app, set(), "s3cret"), "testclient")
+    with TestClient(proxied, base_url="http://road.example") as client:
+        client.cookies["paceline-token-80"] = "s3cret"
+        own = {"host": host, "origin": "https://road.example"}
+        assert client.get("/", headers=own).status_code == 403
+        assert client.get("/", headers={**own, "x-forwarded-proto": "https"}).status_code == 200
+        plain = {"host": host, "origin": "http://road.example", "x-forwarded-proto": "https"}
+        assert client.get("/", headers=plain).status_code == 403
+
+
 def test_sockets_of_other_sites_are_refused() -> None:
     app = FastAPI()
 
@@ -74,7 +101,8 @@ def test_sockets_of_other_sites_are_refused() -> None:
 
     guarded: Any = AccessControl(app, {HOST}, None)
     with TestClient(guarded, base_url=f"http://{HOST}") as client:
-        for headers in ({"host": HOST, "origin": "http://evil.example"}, {"host": HOST}, {"host": "evil.example"}):
+        foreign = [{"host": HOST, "origin": f"{scheme}://{host}"} for scheme, host in OTHER_SITES]
+        for headers in (*foreign, {"host": HOST}, {"host": "evil.example"}):
             with pytest.raises(WebSocketDisconnect), client.websocket_connect("/ws", headers=headers):
                 pass
         with client.websocket_connect("/ws", headers=SAME) as socket:

@@ -11,6 +11,7 @@ import urllib.request
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -113,6 +114,28 @@ def test_uploads_are_bounded(folder: Path, client: TestClient, monkeypatch: pyte
     monkeypatch.setattr(uploads, "MIN_FREE_DISK_BYTES", 1 << 62)
     full = send(client, key, "rig", "b.yaml", b"x")
     assert full.status_code == 422 and "not enough free disk space" in full.json()["reason"]
+    client.request("DELETE", f"/api/import/{key}", headers=SAME)
+    assert sorted(p.name for p in folder.iterdir()) == ["road"]
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.png"])
+def test_the_disk_may_fill_while_an_upload_without_a_length_arrives(
+    folder: Path, client: TestClient, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """What it has written is removed, and the upload goes on with a smaller file."""
+    free = 3 << 20  # bytes, beyond those that stay free
+
+    def disk_usage(place: Path) -> SimpleNamespace:
+        written = sum(p.stat().st_size for p in folder.glob(".paceline-import.*/**/*") if p.is_file())
+        return SimpleNamespace(free=uploads.MIN_FREE_DISK_BYTES + free - written)
+
+    monkeypatch.setattr(uploads.shutil, "disk_usage", disk_usage)
+    key = begin(client)
+    pieces = (b"x" * (1 << 20) for _ in range(64))
+    full = client.put(f"/api/import/{key}/left", params={"name": name}, content=pieces, headers=SAME)
+    assert full.status_code == 422 and full.json()["reason"] == f"{name}: there is not enough free disk space for it"
+    assert [list(p.iterdir()) for p in folder.glob(".paceline-import.*")] == [[]]
+    assert send(client, key, "left", name, b"x").status_code == 200
     client.request("DELETE", f"/api/import/{key}", headers=SAME)
     assert sorted(p.name for p in folder.iterdir()) == ["road"]
 

@@ -12,6 +12,8 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+PAGE_SCHEMES = {"ws": "http", "wss": "https"}  # of the pages that open a socket
+DEFAULT_PORTS = {"http": 80, "https": 443}
 REDIRECT_PAGE = '<!doctype html><meta http-equiv="refresh" content="0; url=/"><title>Paceline</title>'
 # NiceGUI compiles its pages in the browser, hence the two exceptions for scripts; all scripts are the console's own.
 CONTENT_SECURITY_POLICY = (
@@ -84,7 +86,7 @@ class AccessControl:
 
     def _is_cross_site(self, scope: Scope, headers: Headers, host: str) -> bool:
         origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and not _is_own_origin(origin, scope["scheme"], host):
             return True
         if scope["type"] == "websocket" and origin is None:
             return True  # browsers always send the origin of a socket
@@ -94,6 +96,25 @@ class AccessControl:
 
     def _token_matches(self, token: str) -> bool:
         return self.token is not None and secrets.compare_digest(token.encode(), self.token.encode())
+
+
+def _is_own_origin(origin: str, scheme: str, host: str) -> bool:
+    """Whether ``origin`` is that of the pages under the ``host`` that is asked by ``scheme``.
+
+    Behind a reverse proxy on this machine the scheme is what the proxy states in X-Forwarded-Proto.
+    """
+    own = _origin(f"{PAGE_SCHEMES.get(scheme, scheme)}://{host}")
+    return own is not None and own == _origin(origin)
+
+
+def _origin(address: str) -> tuple[str, str, int] | None:
+    """The scheme, the host and the port of an ``address``, by which browsers tell sites apart; None without these."""
+    try:
+        parts = urlsplit(address)
+        port = DEFAULT_PORTS.get(parts.scheme) if parts.port is None else parts.port
+    except ValueError:
+        return None
+    return None if parts.hostname is None or port is None else (parts.scheme, parts.hostname, port)
 
 
 def _cookie_value(headers: Headers, cookie: str) -> str:

@@ -10,6 +10,7 @@ import shutil
 import zipfile
 import zlib
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -87,8 +88,7 @@ class Uploads:
         short_name = Path(name).name[:80]
         if size is not None and size > max_bytes:
             raise UnusableInput(f"{short_name}: is larger than {_format_bytes(max_bytes)}")
-        if shutil.disk_usage(self._root).free < (size or 0) + MIN_FREE_DISK_BYTES:
-            raise UnusableInput(f"{short_name}: there is not enough free disk space for it")
+        self._require_space(short_name, size or 0)
         written = 0
         try:
             file.parent.mkdir(exist_ok=True)
@@ -96,6 +96,7 @@ class Uploads:
         except FileExistsError as error:
             raise UnusableInput(f"{short_name}: was sent twice; expected different names") from error
         except OSError as error:
+            _remove_if_empty(file.parent)
             raise UnusableInput(f"{short_name}: cannot be written ({error.strerror})") from error
         try:
             with stream:
@@ -103,15 +104,22 @@ class Uploads:
                     written += len(part)
                     if written > max_bytes:
                         raise UnusableInput(f"{short_name}: is larger than {_format_bytes(max_bytes)}")
+                    self._require_space(short_name, len(part))
                     await asyncio.to_thread(stream.write, part)
             if size is not None and written != size:
                 raise UnusableInput(f"{short_name}: was not received completely; try again")
         except BaseException as error:
             file.unlink(missing_ok=True)
+            _remove_if_empty(file.parent)
             if isinstance(error, OSError):
                 raise UnusableInput(f"{short_name}: cannot be written ({error.strerror})") from error
             raise
         upload.received.setdefault(slot, []).append(file)
+
+    def _require_space(self, name: str, count: int) -> None:
+        """Raises UnusableInput where ``count`` further bytes of the file ``name`` leave too little of the disk free."""
+        if shutil.disk_usage(self._root).free < count + MIN_FREE_DISK_BYTES:
+            raise UnusableInput(f"{name}: there is not enough free disk space for it")
 
     def finish(self, key: str, rate: float | None) -> str:
         """Checks the received files and makes them a clip; returns its name. Raises UnusableInput, and then keeps the
@@ -220,6 +228,13 @@ def _upload_path(upload: Upload, slot: str, name: str) -> Path:
             raise UnusableInput(f"{slot}: more than {MAX_IMAGES} images")
         return upload.folder / slot / base
     raise UnusableInput(f"{base[:80]}: is no {YAML_NAMES.get(slot, 'video, zip or image')}")
+
+
+def _remove_if_empty(folder: Path) -> None:
+    """Removes the ``folder`` of a view's images where there are none; the folder of an upload itself is kept."""
+    if not folder.name.startswith(PARTIAL_PREFIX):
+        with suppress(OSError):  # it holds other images
+            folder.rmdir()
 
 
 def _recording_name(upload: Upload, view: str) -> str:
