@@ -260,9 +260,14 @@ ORDER = "top-left, top-right, bottom-right, bottom-left as seen in the image"
         ("rate", 0, "rate: expected at least 0.1, found 0"),
         ("rate", -5, "rate: expected at least 0.1, found -5"),
         ("rate", 1e6, "rate: expected at most 10000"),
-        ("rate", float("nan"), "rate: expected a finite number, found nan"),
-        ("rate", True, "rate: expected a number, found True"),
-        ("rate", "5", "rate: expected a number, found '5'"),
+        ("rate", float("nan"), "rate: expected a number or {value: …, override: …}, found nan"),
+        ("rate", True, "rate: expected a number or {value: …, override: …}, found True"),
+        ("rate", "5", "rate: expected a number or {value: …, override: …}, found '5'"),
+        ("rate", {"value": 240, "overide": True}, "rate: unknown key 'overide'; did you mean 'override'?"),
+        ("rate", {"value": 240, "override": 1}, "rate.override: expected true or false, found 1"),
+        ("rate", {"override": True}, "rate.value: missing"),
+        ("rate", {"value": 0.01, "override": True}, "rate: expected at least 0.1, found 0.01"),
+        ("rate", {"value": "240", "override": True}, "rate.value: expected a number, found '240'"),
         ("times", "times.csv", "rate and times: expected one of them, found both"),
         ("ratte", 5, "unknown key 'ratte'; did you mean 'rate'?"),
         ("zzz", 5, "unknown key 'zzz'; expected one of left, right, rate, times, time_tolerance, bit_depth, "
@@ -391,7 +396,8 @@ def test_numbers_are_decimal(text, number):
 def test_what_is_no_decimal_number_is_refused(text):
     file = write({**CLIP, "rate": "RATE"})
     Path(file).write_text(Path(file).read_text().replace("RATE", text))
-    assert refusal(load_clip, file) == f"clip.yaml: rate: expected a number, found {text!r}"
+    expected = "expected a number or {value: …, override: …}"
+    assert refusal(load_clip, file) == f"clip.yaml: rate: {expected}, found {text!r}"
 
 
 def test_files_that_cannot_be_read():

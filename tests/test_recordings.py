@@ -19,6 +19,7 @@ from paceline.errors import UnusableInput
 from paceline.recordings import image_sources
 from paceline.recordings.image_sources import KeptImages, open_source, read_image_file
 from paceline.recordings.stereo import open_recording, pair_by_time
+from paceline.recordings.time_stamps import longest_increasing_subsequence
 
 W, H = 64, 48
 K = np.array([[100.0, 0, 31.5], [0, 100.0, 23.5], [0, 0, 1]])
@@ -53,6 +54,20 @@ def write_video(path, pts, pictures, codec="ffv1", pixels="gray", time_base=Frac
             frame.pts, frame.time_base = t, time_base
             container.mux(stream.encode(frame.reformat(format=pixels)))
         container.mux(stream.encode(None))
+
+
+def restamp(path, stamps):
+    """Writes other time stamps (ms) of frames into a Matroska video, as a recorder with a bad clock does."""
+    with av.open(path) as container:
+        packets = [(packet.pts, bytes(packet)) for packet in container.demux(video=0) if packet.size]
+    data = bytearray(Path(path).read_bytes())
+    for frame, stamp in stamps.items():
+        pts, content = packets[frame]
+        assert data.count(content) == 1
+        at = data.index(content) - 3  # a block's time in its cluster, before its flags
+        (relative,) = struct.unpack_from(">h", data, at)
+        struct.pack_into(">h", data, at, relative + stamp - pts)
+    Path(path).write_bytes(data)
 
 
 def clip(left="left", right="right", rate=5.0, **more):
@@ -121,8 +136,7 @@ def test_numbers_missing_in_both_views_are_dropped_frames():
     recording = open_recording(clip())
     np.testing.assert_allclose(recording.times, [0, 0.2, 0.6, 0.8, 1.4])
     assert recording.notices == [
-        "1 dropped between frames 1 and 2: 0.400 s lie between them instead of 0.200 s",
-        "2 dropped between frames 3 and 4: 0.600 s lie between them instead of 0.200 s",
+        "3 dropped in 2 places, most between frames 3 and 4: 0.600 s lie between them instead of 0.200 s",
     ]
 
 
@@ -423,6 +437,31 @@ def test_frames_without_a_partner_in_time_are_left_out():
     ]
 
 
+@pytest.mark.parametrize("wrong", [0.2, 0.05, 7.0])
+def test_a_time_that_repeats_or_is_out_of_order_costs_its_frame(wrong):
+    for side in ("left", "right"):
+        write_folder(side, range(8))
+    write_times([(k, wrong if k == 3 else k / 10, k / 10) for k in range(8)])
+    recording = timed()
+    assert recording.indices.tolist() == [0, 1, 2, 4, 5, 6, 7]
+    np.testing.assert_allclose(recording.times, np.array([0, 1, 2, 4, 5, 6, 7]) / 10)
+    assert recording.notices == [
+        "left: frame 3 left out, whose time stamps repeat or are out of order",
+        "right: frame 3 is left out, without a left frame within 25 ms",
+        "1 dropped between frames 2 and 4: 0.200 s lie between them instead of 0.100 s",
+    ]
+
+
+@given(st.lists(st.integers(0, 12), max_size=12))
+def test_as_many_frames_as_possible_stay_in_order(times):
+    mask = longest_increasing_subsequence(times)
+    assert len(mask) == len(times) and all(np.diff(np.array(times)[mask]) > 0)
+    longest = [0] * len(times)
+    for k, time in enumerate(times):
+        longest[k] = 1 + max((longest[i] for i in range(k) if times[i] < time), default=0)
+    assert mask.sum() == max(longest, default=0)
+
+
 def test_a_stated_tolerance_is_used():
     two_folders()
     write_times([(i, i / 10, i / 10 + 0.003) for i in range(4)])
@@ -435,8 +474,8 @@ def test_a_stated_tolerance_is_used():
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ([(0, 0, 0), (1, 1, 1), (2, 0.5, 2), (3, 3, 3)], "frame 2: the times do not increase"),
-        ([(0, 0, 0), (1, 1, 1), (2, 2, 1), (3, 3, 3)], "frame 2: the times do not increase"),
+        ([(0, 3, 0), (1, 2, 1), (2, 1, 2), (3, 0, 3)], "left_s: the times do not increase"),
+        ([(0, 0, 1), (1, 1, 1), (2, 2, 1), (3, 3, 1)], "right_s: the times do not increase"),
         ([(0, 0, 0), (1, "x", 1), (2, 2, 2), (3, 3, 3)], "frame 1: '1,x,1'; expected three numbers"),
         ([(0, 0, 0), (1, 1), (2, 2, 2), (3, 3, 3)], "frame 1: '1,1'; expected three numbers"),
         ([(0, 0, 0), (1, 1, "nan"), (2, 2, 2), (3, 3, 3)], "frame 1: '1,1,nan'; expected finite numbers"),
@@ -493,6 +532,16 @@ def test_lossless_video_with_variable_time_stamps():
     assert [(f.index, f.time) for f in recording.frames(3, 5)] == [(3, pytest.approx(0.305)), (4, pytest.approx(0.4))]
 
 
+@pytest.mark.parametrize(("start", "delay"), [(1400, "1.400 s after"), (-1400, "1.400 s before"), (100, None)])
+def test_videos_whose_time_stamps_begin_apart(start, delay):
+    write_video("left.mkv", range(2000, 5000, 100), [picture(i) for i in range(30)])
+    write_video("right.mkv", range(2000 + start, 5000 + start, 100), [picture(i) for i in range(30)])
+    recording = open_recording(clip("left.mkv", "right.mkv", rate=None))
+    apart = [n for n in recording.notices if n.code == "views_start_apart"]
+    assert apart == [f"right.mkv: its time stamps begin {delay} those of left.mkv"] * (delay is not None)
+    assert apart[:1] == [n for n in recording.with_lag(-0.2).notices if n.code == "views_start_apart"]
+
+
 def test_videos_that_lost_different_frames_are_matched_by_time():
     write_video("left.mkv", [0, 100, 200, 400, 500], [picture(i) for i in (0, 1, 2, 4, 5)])
     write_video("right.mkv", [0, 101, 300, 400, 500], [picture(i) for i in (0, 1, 3, 4, 5)])
@@ -501,9 +550,9 @@ def test_videos_that_lost_different_frames_are_matched_by_time():
     for f in recording:
         np.testing.assert_array_equal(f.left, f.right)
     assert recording.notices[:3] == [
+        "clip.yaml: rate is not used, because the videos carry their own time stamps",
         "left: frame 2 is left out, without a right frame within 25 ms",
         "right: frame 2 is left out, without a left frame within 25 ms",
-        "clip.yaml: rate is not used, because the videos carry their own time stamps",
     ]
 
 
@@ -601,6 +650,69 @@ def test_a_frame_whose_time_stamp_is_that_of_the_one_before_is_left_out():
         np.testing.assert_array_equal(image, picture(i))
 
 
+@pytest.mark.parametrize("codec", ["ffv1", "mjpeg"])
+@pytest.mark.parametrize(
+    ("stamps", "left_out"),
+    [
+        ({5: 420}, []),
+        ({5: 300}, [5]),
+        ({5: 120}, [5]),
+        ({5: 390}, [5]),
+        ({5: 620}, [5]),
+        ({5: 5000}, [5]),
+        ({2: 3000, 6: 0}, [2, 6]),
+    ],
+)
+def test_wrong_time_stamps_cost_only_their_own_frames(codec, stamps, left_out):
+    """Be they too early or too late."""
+    write_video(
+        "v.mkv",
+        range(0, 1000, 100),
+        [picture(i) for i in range(10)],
+        codec,
+        pixels="gray" if codec == "ffv1" else "yuvj420p",
+    )
+    restamp("v.mkv", stamps)
+    source = open_source(Path("v.mkv"))
+    frames = [i for i in range(10) if i not in left_out]
+    assert source.times.tolist() == [stamps.get(i, 100 * i) / 1000 for i in frames]
+    assert [n.code for n in source.notices] == ["frames_restamped"] * bool(left_out)
+    for first in (0, 4):
+        for image, i in zip(source.read(range(first, len(frames))), frames[first:], strict=True):
+            assert np.corrcoef(image.ravel(), picture(i).ravel())[0, 1] > 0.7
+
+
+def test_an_mp4_whose_time_stamps_repeat():
+    write_video("v.mp4", [0, 100, 200, 250, 350, 450], [picture(i) for i in range(6)], "mpeg4", "yuv420p")
+    data = bytearray(Path("v.mp4").read_bytes())
+    at = data.index(b"stts") + 8  # the number of entries: how many frames, and how long each is shown
+    (count,) = struct.unpack_from(">I", data, at)
+    entries = [struct.unpack_from(">2I", data, at + 4 + 8 * k) for k in range(count)]
+    (short,) = (k for k, (_, duration) in enumerate(entries) if 2 * duration == entries[0][1])
+    struct.pack_into(">I", data, at + 8 + 8 * short, 0)
+    Path("v.mp4").write_bytes(data)
+    source = open_source(Path("v.mp4"))
+    assert len(source) == 5 and [n.code for n in source.notices] == ["frames_restamped"]
+    for image, i in zip(source.read(range(5)), (0, 1, 2, 4, 5), strict=True):
+        assert np.corrcoef(image.ravel(), picture(i).ravel())[0, 1] > 0.7
+
+
+@pytest.mark.parametrize("counts", [(10, 4), (4, 10), (10, 10)])
+def test_recordings_that_were_joined_are_read_once(counts):
+    """Each picture has its own time stamp, wherever reading begins."""
+    first, second = (range(start, start + n) for start, n in zip((0, 50), counts, strict=True))
+    for name, numbers in (("first.ts", first), ("second.ts", second)):
+        write_video(name, range(0, 100 * len(numbers), 100), [picture(i) for i in numbers], "libx264", "yuv420p")
+    Path("both.ts").write_bytes(Path("first.ts").read_bytes() + Path("second.ts").read_bytes())
+    source = open_source(Path("both.ts"))
+    frames = [first[k] if k < len(first) else second[k] for k in range(max(counts))]
+    assert len(source) == len(frames) and [n.code for n in source.notices] == ["frames_restamped"]
+    np.testing.assert_allclose(np.diff(source.times), 0.1)
+    for start in (0, 3):
+        for image, i in zip(source.read(range(start, len(frames))), frames[start:], strict=True):
+            assert np.corrcoef(image.ravel(), picture(i).ravel())[0, 1] > 0.7
+
+
 def test_of_recordings_that_were_joined_the_first_one_counts():
     write_video("once.ts", range(0, 1000, 100), [picture(i) for i in range(10)], "libx264", "yuv420p")
     Path("twice.ts").write_bytes(2 * Path("once.ts").read_bytes())
@@ -623,6 +735,19 @@ def test_a_video_without_time_stamps_needs_a_rate(name, codec, pixels):
     np.testing.assert_allclose(recording.times, np.arange(5) / 10)
     for frame, i in zip(recording, range(5), strict=True):
         assert np.corrcoef(frame.left.ravel(), picture(20 * i).ravel())[0, 1] > 0.9
+
+
+@pytest.mark.parametrize("stamps", [{}, {5: 400}, {5: 390}, {5: 5000}])
+def test_a_rate_that_overrides_counts_every_frame(stamps):
+    """Whatever their time stamps are, and whichever frame is read first."""
+    write_video("v.mkv", range(0, 1000, 100), [picture(i) for i in range(10)], "mjpeg", "yuvj420p")
+    restamp("v.mkv", stamps)
+    recording = open_recording(clip("v.mkv", "v.mkv", 240.0, rate_override=True))
+    np.testing.assert_allclose(recording.times, np.arange(10) / 240)
+    assert {n.code for n in recording.notices} <= {"rate_overrides"}
+    for i in (0, 7, 3):
+        frame = next(recording.frames(i))
+        assert frame.index == i and np.corrcoef(frame.left.ravel(), picture(i).ravel())[0, 1] > 0.9
 
 
 def test_a_raw_stream_of_which_a_picture_is_lost_is_refused():

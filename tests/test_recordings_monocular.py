@@ -30,6 +30,7 @@ WIDTH, HEIGHT = 64, 48
 class Clip:
     video: str
     rate: float | None = None
+    rate_override: bool = False
     bit_depth: int | None = None
     path: Path = Path("follow.yaml")
     camera: Camera = field(default_factory=lambda: Camera((WIDTH, HEIGHT), np.diag([50.0, 50.0, 1.0])))
@@ -101,6 +102,18 @@ def test_a_video_keeps_its_own_times(tmp_path: Path) -> None:
     unused, jump = recording.notices
     assert "rate is not used" in unused
     assert jump == "frames 4 and 5 lie 0.680 s apart instead of 0.070 s"
+
+
+def test_a_rate_that_overrides_is_used_in_place_of_a_videos_own_times(tmp_path: Path) -> None:
+    recording = open_camera(Clip(str(video(tmp_path / "v.mkv", range(0, 60, 10))), rate=240, rate_override=True))
+    np.testing.assert_allclose([f.time for f in recording], np.arange(6) / 240)
+    (override,) = recording.notices
+    assert override.endswith("v.mkv: timed by 240 frames/s in place of its own time stamps, which lie 0.1 s apart")
+
+
+def test_a_rate_overrides_no_live_source() -> None:
+    live = Clip("rtsp://camera/1", rate=25, rate_override=True)
+    assert refusal(live) == "follow.yaml: rate.override: expected a file; a live source may lose frames unseen"
 
 
 def test_a_damaged_image_is_passed_over(tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ class Clip:
     video: str = ""
     addresses: tuple = ()
     rate = bit_depth = offset = None
+    rate_override = False
     path = Path("a.yaml")
     camera = camera
     rig = StereoRig(camera, camera, np.eye(3), np.array([-1.0, 0, 0]))

@@ -321,6 +321,7 @@ _WARNING_ROWS = {
         "no common clock: frames that come together are taken as exposed together",
         _SYNCHRONISE_ADVICE,
     ),
+    "views_start_apart": ("{right}: its time stamps begin {delay} those of {left}", _PAIRING_ADVICE),
     "frames_unmatched": ("{view}: {frames} left out, without a {other} frame {match}", _PAIRING_ADVICE),
     "frames_missing": ("{gap} instead of {usual_s:.3f} s", ""),
     "frames_missing_estimated": (
@@ -362,7 +363,7 @@ _WARNING_ROWS = {
         "Use a source that sends time stamps.",
     ),
     "frames_restamped": (
-        "{video}: {frames} left out, whose time stamps repeat or precede those of frames before",
+        "{video}: {frames} left out, whose time stamps repeat or are out of order",
         "Look at how the recorder or the joining program sets time stamps.",
     ),
     "times_backward": ("{source}: times go back by {back_s:.3f} s at frame {frame}; counted on", ""),
@@ -424,7 +425,11 @@ _INFORMATION_ROWS = {
     "gpu_fallback": ("computed on the CPU from frame {frame} on: {problem}", ""),
     "rate_ignored": (
         "{clip}: rate is not used, because {source} own time stamps",
-        "Take `rate` out.",
+        "Take `rate` out, or write `rate: {value: …, override: true}` where these are wrong, as of slow motion.",
+    ),
+    "rate_overrides": (
+        "{video}: timed by {rate:g} frames/s in place of its own time stamps, which lie {usual_s:.4g} s apart",
+        "Take `override` out where the time stamps are true.",
     ),
     "lines_beyond_sides": (
         "vertical lines lie up to {distance_px:.1f} px outside the vehicle's sides, which are {width_px:.1f} ± "

@@ -83,6 +83,7 @@ class Clip:
     addresses: tuple[str, str]  # of both views, as live sources
     offset: Quantity | None = None  # s, to add to the right view's times; None where it is not known
     drawn_on: int | None = None  # the frame on which the paths were drawn; None: the first one
+    rate_override: bool = False  # whether the rate is used in place of a video's own time stamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +117,7 @@ class FollowClip:
     scale: float
     odometry: Path | None
     wheelbase: float | None  # m, of the chase vehicle
+    rate_override: bool = False  # whether the rate is used in place of a video's own time stamps
 
 
 def load_rig(path: str | Path) -> StereoRig:
@@ -192,7 +194,8 @@ def _recording(path: Path, model: ClipModel, rig: Path) -> Clip:
         path=path,
         left=path.parent / model.left,
         right=path.parent / model.right,
-        rate=model.rate,
+        rate=None if model.rate is None else model.rate.value,
+        rate_override=model.rate is not None and model.rate.override,
         times=None if model.times is None else path.parent / model.times,
         tolerance=model.time_tolerance,
         bit_depth=model.bit_depth,
@@ -255,7 +258,8 @@ def load_follow(path: str | Path) -> FollowClip:
     return FollowClip(
         path=path,
         video=_address(path, model.video),
-        rate=model.rate,
+        rate=None if model.rate is None else model.rate.value,
+        rate_override=model.rate is not None and model.rate.override,
         bit_depth=model.bit_depth,
         camera=camera,
         target=target,

@@ -28,6 +28,7 @@ from paceline.errors import UnusableInput
 
 MAX_DOCUMENT_NAME_LENGTH = 100
 MAX_NUMBER = 1e9  # upper limit of every pixel and metre in these files; excludes NaN and infinity as well
+FRAME_RATE_LIMITS_HZ = 0.1, 10000.0  # from time-lapse pictures to high-speed cameras
 MAX_READOUT_S = 0.1  # greatest time from the first row's exposure to the last one's; ordinary cameras take up to 0.03
 RIG_PARAMETERS = 14  # fx, fy, cx, cy of each camera, rotation, translation
 _NUMBER_WORDS = {2: "two", 3: "three", 4: "four"}
@@ -90,6 +91,23 @@ def _quantity(value: Any) -> Any:
     return {"value": value, "std": 0.0}
 
 
+def _frame_rate(value: Any) -> Any:
+    """A number is the rate of what has no time stamps of its own."""
+    if isinstance(value, dict | RateModel):
+        return value
+    if not _is_number(value):
+        raise ValueError(f"expected a number or {{value: …, override: …}}, found {_excerpt(value)}")
+    return {"value": value}
+
+
+def _is_frame_rate(rate: RateModel) -> RateModel:
+    low, high = FRAME_RATE_LIMITS_HZ
+    if not low <= rate.value <= high:
+        expected = f"at least {low:g}" if rate.value < low else f"at most {high:g}"
+        raise ValueError(f"expected {expected}, found {rate.value:g}")
+    return rate
+
+
 def _is_readout(quantity: QuantityModel) -> QuantityModel:
     if abs(quantity.value) > MAX_READOUT_S:
         raise ValueError(
@@ -130,7 +148,7 @@ Vector = Annotated[Array, _vector(3)]
 Pair = Annotated[Array, _vector(2)]
 Name = Annotated[str, BeforeValidator(_name), Field(min_length=1), AfterValidator(_legible)]
 Text = Annotated[str, Field(min_length=1)]
-Rate = Annotated[float, Field(ge=0.1, le=10000)]
+Rate = Annotated[float, Field(ge=FRAME_RATE_LIMITS_HZ[0], le=FRAME_RATE_LIMITS_HZ[1])]
 Bits = Annotated[int, Field(ge=8, le=16)]
 Size = Annotated[int, Field(ge=16, le=65536)]
 Sigma = Annotated[float, Field(ge=0)]
@@ -177,6 +195,14 @@ class QuantityModel(Document):
 
 Stated = Annotated[QuantityModel, BeforeValidator(_quantity)]
 Readout = Annotated[Stated, AfterValidator(_is_readout)]
+
+
+class RateModel(Document):
+    value: float
+    override: bool = False
+
+
+FrameRate = Annotated[RateModel, BeforeValidator(_frame_rate), AfterValidator(_is_frame_rate)]
 
 
 class CameraModel(Document):
@@ -234,7 +260,7 @@ class VehicleModel(Document):
 class ClipModel(Document):
     left: Text
     right: Text
-    rate: Rate | None = None
+    rate: FrameRate | None = None
     times: str | None = None
     time_tolerance: Annotated[float, Field(gt=0)] | None = None
     bit_depth: Bits | None = None
@@ -268,7 +294,7 @@ class StartModel(Document):
 
 class FollowModel(Document):
     video: Text
-    rate: Rate | None = None
+    rate: FrameRate | None = None
     bit_depth: Bits | None = None
     camera: Text
     target: Text

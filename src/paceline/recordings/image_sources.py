@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
 from paceline.errors import UnusableInput
+from paceline.recordings.time_stamps import longest_increasing_subsequence
 from paceline.verdicts import message, plural
 
 StoredImage = NDArray[Any]  # uint8 or uint16
@@ -52,17 +53,17 @@ class ImageSource(Protocol):
         ...
 
 
-def open_source(path: Path, bit_depth: int | None = None) -> ImageSource:
+def open_source(path: Path, bit_depth: int | None = None, video_rate: float | None = None) -> ImageSource:
     """The images of a folder, the images that a pattern (``left/*.png``, ``left/%04d.png``) matches, or a video.
 
-    ``bit_depth`` is how many bits of 16-bit images are used (all 16 by default). Raises UnusableInput where there
-    is nothing to read.
+    ``bit_depth`` is how many bits of 16-bit images are used (all 16 by default); ``video_rate``, in frames per second,
+    is used in place of a video's own time stamps. Raises UnusableInput where there is nothing to read.
     """
     if path.is_dir():
         files = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
         return ImageFiles(str(path), files, bit_depth)
     if path.exists():
-        return VideoFile(path, bit_depth)
+        return VideoFile(path, bit_depth, video_rate)
     pattern = re.sub(r"%0(\d+)d", lambda m: "[0-9]" * int(m[1]), str(path))
     if glob.has_magic(pattern):
         return ImageFiles(str(path), [Path(p) for p in glob.glob(pattern)], bit_depth)
@@ -139,12 +140,13 @@ class VideoFile:
     """A video file, timed by its presentation time stamps (never by its frame rate).
 
     Where it carries none, as raw H.264 and MJPEG streams do, its frames are numbered and its ``times`` None. Frames
-    whose time stamps repeat or precede one before them are left out.
+    whose time stamps repeat or precede one before them are left out. With a ``rate``, in frames per second, all frames
+    count, whatever their time stamps, and are timed by it.
     Opening it reads the packets' time stamps, and decodes only what follows the last key frame to find out whether the
     file is cut short.
     """
 
-    def __init__(self, path: Path, bit_depth: int | None = None) -> None:
+    def __init__(self, path: Path, bit_depth: int | None = None, rate: float | None = None) -> None:
         self.name = str(path)
         self.notices: list[str] = []
         self._path = path
@@ -152,8 +154,13 @@ class VideoFile:
         self._seekable = True  # to key frames; not where only the decoder gives time stamps
         self._threads = "SLICE"  # frame-parallel decoding loses a varying number of frames at a damaged end
         self._is_timed = True
-        self._pts, time_base = self._scan()
+        self._pts, time_base = self._scan(stamps_matter=rate is None)
         self.times: Array | None = np.array([float(p * time_base) for p in self._pts]) if self._is_timed else None
+        if rate is not None:
+            if self.times is not None:
+                usual_s = float(np.median(np.diff(self.times)))
+                self.notices.append(message("rate_overrides", video=self.name, rate=rate, usual_s=usual_s))
+            self.times = np.arange(len(self._pts)) / rate
 
     def __len__(self) -> int:
         return len(self._pts)
@@ -217,14 +224,14 @@ class VideoFile:
                     if not picture.is_corrupt:
                         yield picture
 
-    def _scan(self) -> tuple[list[int], Fraction]:
+    def _scan(self, stamps_matter: bool) -> tuple[list[int], Fraction]:
         try:
             with av.open(self._path) as container:
                 if container.format.name == "tty" or not container.streams.video:
                     raise UnusableInput(f"{self.name}: holds no video")
                 stream = container.streams.video[0]
                 self._is_timed = Flags.no_timestamps not in Flags(container.format.flags)  # else FFmpeg invents them
-                pts, key, cut, backward = _packets(container, stream)
+                pts, key, cut, unordered = _packets(container, stream)
                 time_base = stream.time_base or Fraction(1, av.time_base)
                 stated_end = _stated_end(container, stream)
         except av.FFmpegError as error:
@@ -232,8 +239,9 @@ class VideoFile:
         if self._is_timed and None in pts:  # the container numbers its packets only; the decoder may know better
             pts, key = [picture.pts for picture in self._decode()], None
             self._seekable, self._is_timed = False, None not in pts
+        self._is_timed &= stamps_matter or not unordered and len(set(pts)) == len(pts)  # else they tell no frames apart
         if not self._is_timed:
-            self._seekable, time_base, key, stated_end = False, Fraction(1), None, None
+            self._seekable, time_base, key, stated_end, unordered = False, Fraction(1), None, None, 0
             packets, pts = len(pts), [picture.pts for picture in self._decode()]
             if len(pts) < packets:
                 raise UnusableInput(
@@ -241,10 +249,11 @@ class VideoFile:
                     "nothing tells when the others were taken; expected a whole stream, or one with time stamps"
                 )
         stamps = sorted({p for p in pts if p is not None})
-        if left_out := backward + len(pts) - len(stamps):
+        if left_out := unordered + len(pts) - len(stamps):
+            self._seekable = False  # there may be several places of one time stamp
             self.notices.append(message("frames_restamped", video=self.name, frames=plural(left_out, "frame")))
         if key is not None:
-            decodable = {picture.pts for picture in self._decode(key)}
+            decodable = {picture.pts for picture in self._decode(key if self._seekable else None)}
             if key not in decodable:  # not every container can be seeked to a key frame
                 decodable = {picture.pts for picture in self._decode()}
             last = max((p for p in decodable if p is not None), default=stamps[0] - 1)
@@ -272,23 +281,41 @@ def _packets(
     container: av.container.InputContainer, stream: av.VideoStream
 ) -> tuple[list[int | None], int | None, bool, int]:
     """The packets' presentation time stamps, that of the last key frame, whether the packets end too early, and how
-    many are left out because they go back in time."""
+    many are left out because they are out of order."""
     pts: list[int | None] = []
-    key, last_dts, cut, backward = None, None, False, 0
+    dts: list[int | None] = []
+    key_frames: list[bool] = []
+    cut = False
     try:
         for packet in container.demux(stream):
-            if not packet.size or packet.is_discard:
-                continue
-            if packet.dts is not None and last_dts is not None and packet.dts < last_dts:
-                backward += 1
-                continue
-            last_dts = packet.dts
-            if packet.is_keyframe:
-                key = packet.pts
-            pts.append(packet.pts)
+            if packet.size and not packet.is_discard:
+                pts.append(packet.pts)
+                dts.append(packet.dts)
+                key_frames.append(packet.is_keyframe)
     except av.FFmpegError:
         cut = True
-    return pts, key, cut or len(pts) + backward < stream.frames, backward
+    selection = _in_order(pts, dts)
+    ordered = [p for p, is_ordered in zip(pts, selection, strict=True) if is_ordered]
+    keys = [p for p, *chosen in zip(pts, selection, key_frames, strict=True) if all(chosen)]
+    return ordered, keys[-1] if keys else None, cut or len(pts) < stream.frames, len(pts) - len(ordered)
+
+
+def _in_order(pts: list[int | None], dts: list[int | None]) -> list[bool]:
+    """The packets (N,) that come in the order of their decoding time stamps ``dts``, but for those with the same
+    presentation time stamp as one that does not: when pictures are read, these cannot be told apart."""
+    known = [k for k, stamp in enumerate(dts) if stamp is not None]
+    stamps = [stamp for stamp in dts if stamp is not None]
+    selection = [True] * len(pts)
+    if all(a <= b for a, b in zip(stamps, stamps[1:], strict=False)):
+        return selection
+    for k, is_ordered in zip(known, longest_increasing_subsequence(stamps).tolist(), strict=True):
+        selection[k] = is_ordered
+    passed: set[int | None] = set()  # presentation time stamps of packets out of order so far
+    for k, stamp in enumerate(pts):
+        if not selection[k]:
+            passed.add(stamp)
+        selection[k] = selection[k] and stamp not in passed
+    return selection
 
 
 def _stated_end(container: av.container.InputContainer, stream: av.VideoStream) -> float | None:

@@ -52,6 +52,8 @@ class LiveSource(Protocol):
     @property
     def rate(self) -> float | None: ...
     @property
+    def rate_override(self) -> bool: ...
+    @property
     def bit_depth(self) -> int | None: ...
     @property
     def rig(self) -> StereoRig: ...
@@ -69,7 +71,9 @@ class LiveStereo:
 
     def __init__(self, clip: LiveSource) -> None:
         self._views = [
-            LiveCamera(open_camera(_ViewSource(clip.path, address, clip.rate, clip.bit_depth, camera)))
+            LiveCamera(
+                open_camera(_ViewSource(clip.path, address, clip.rate, clip.rate_override, clip.bit_depth, camera))
+            )
             for address, camera in zip(clip.addresses, clip.rig.cameras, strict=True)
         ]
         self._stated_offset = 0.0 if clip.offset is None else clip.offset.value
@@ -121,6 +125,7 @@ class _ViewSource:
     path: Path
     video: str
     rate: float | None
+    rate_override: bool
     bit_depth: int | None
     camera: Camera
 

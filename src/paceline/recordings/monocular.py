@@ -29,12 +29,12 @@ from paceline.arrays import Array
 from paceline.cameras import Camera
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageFiles, ImageSource, open_source
+from paceline.recordings.time_stamps import MIN_GAP_RATIO
 from paceline.verdicts import message
 
 Grey = NDArray[np.uint8]  # (H, W)
 
 MAX_LISTED_NOTICES = 8  # notices of one kind that are listed
-MIN_GAP_RATIO = 1.5  # ratio to the typical interval above which frames are reported as missing
 MAX_FRAME_INTERVALS = 31  # latest intervals, whose median is the typical one
 LIVE_OPTIONS = {"rtsp_flags": "prefer_tcp"}  # of FFmpeg; sources without them ignore them
 DEVICE_PROBLEMS = {  # messages for a device where those of the operating system mislead
@@ -68,6 +68,8 @@ class CameraSource(Protocol):
     @property
     def rate(self) -> float | None: ...
     @property
+    def rate_override(self) -> bool: ...
+    @property
     def bit_depth(self) -> int | None: ...
     @property
     def camera(self) -> Camera: ...
@@ -98,7 +100,7 @@ class CameraRecording:
         self.name = feed.name
         self._feed = feed
         self._missing = _LimitedLines()
-        self._jumps = _LimitedLines()
+        self._gaps = _Gaps()
 
     @property
     def live(self) -> bool:
@@ -113,7 +115,7 @@ class CameraRecording:
     def notices(self) -> list[str]:
         """What a user should know about the recording, one plain line each; iterating may add to it."""
         undecoded = [message("frames_undecodable", frames=line) for line in self._missing.lines()]
-        return [*self._feed.notices, *undecoded, *self._jumps.lines()]
+        return [*self._feed.notices, *undecoded, *self._gaps.notices]
 
     def stop(self) -> None:
         """Ends the iteration after the present frame, as if the recording ended there; a signal handler may call it."""
@@ -138,8 +140,7 @@ class CameraRecording:
             if before is not None:
                 step = frame.time - before.time
                 if steps and step > MIN_GAP_RATIO * median(steps):
-                    gap = f"frames {before.index} and {frame.index} lie {step:.3f} s apart"
-                    self._jumps.add(message("frames_missing", gap=gap, usual_s=median(steps)))
+                    self._gaps.add(before.index, step, median(steps))
                 steps.append(step)
             before = frame
             yield frame
@@ -153,10 +154,12 @@ def open_camera(clip: CameraSource) -> CameraRecording:
     """
     path = Path(clip.video)
     if "://" in clip.video or path.is_char_device() or path.is_fifo():
+        if clip.rate_override:
+            raise UnusableInput(f"{clip.path}: rate.override: expected a file; a live source may lose frames unseen")
         live = LiveFeed(clip.video, clip.camera.image_size)
         _note_unused_rate(clip, live)
         return CameraRecording(clip.camera, live, None)
-    source = open_source(path, clip.bit_depth)
+    source = open_source(path, clip.bit_depth, clip.rate if clip.rate_override else None)
     if source.times is None:
         if clip.rate is None:
             untimed = (
@@ -171,7 +174,7 @@ def open_camera(clip: CameraSource) -> CameraRecording:
 
 
 def _note_unused_rate(clip: CameraSource, source: ImageSource | Feed) -> None:
-    if clip.rate is not None:
+    if clip.rate is not None and not clip.rate_override:
         source.notices.append(message("rate_ignored", clip=clip.path, source=f"{source.name} carries its"))
 
 
@@ -431,6 +434,34 @@ class _MonotonicClock:
 def _grey(picture: av.VideoFrame) -> Grey:
     # a copy: what a grey camera shows lies in the driver's memory, which is gone once the device is closed
     return np.array(picture.reformat(format="gray").to_ndarray(), np.uint8)
+
+
+@dataclass
+class _Gaps:
+    """The number of gaps between frames, and the longest one: the ``step`` (s) from frame ``index`` to the next, where
+    it is the ``usual_step`` before."""
+
+    count: int = 0
+    index: int = -1
+    step: float = 0.0
+    usual_step: float = 0.0
+    latest: int = -1  # index before the latest gap; of frames that are read again no gap counts twice
+
+    def add(self, index: int, step: float, usual_step: float) -> None:
+        if index <= self.latest:
+            return
+        self.count, self.latest = self.count + 1, index
+        if step > self.step:
+            self.index, self.step, self.usual_step = index, step, usual_step
+
+    @property
+    def notices(self) -> list[str]:
+        """One notice of all gaps."""
+        if not self.count:
+            return []
+        others = f"{self.count} gaps, the longest: " if self.count > 1 else ""
+        gap = f"{others}frames {self.index} and {self.index + 1} lie {self.step:.3f} s apart"
+        return [message("frames_missing", gap=gap, usual_s=self.usual_step)]
 
 
 @dataclass

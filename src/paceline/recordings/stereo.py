@@ -15,9 +15,10 @@ from typing import Protocol
 import numpy as np
 
 from paceline.arrays import Array, Image, Indices, Mask
-from paceline.cameras import StereoRig
+from paceline.cameras import VIEW_NAMES, StereoRig
 from paceline.errors import UnusableInput
 from paceline.recordings.image_sources import ImageFiles, ImageSource, KeptImages, open_source
+from paceline.recordings.time_stamps import MIN_GAP_RATIO, longest_increasing_subsequence
 from paceline.verdicts import Message, message
 
 MIN_REPORTED_SKEW_S = 1.1e-3  # skew above that of rounding both views to whole milliseconds
@@ -75,6 +76,8 @@ class StereoSource(Protocol):
     def right(self) -> Path: ...
     @property
     def rate(self) -> float | None: ...
+    @property
+    def rate_override(self) -> bool: ...
     @property
     def times(self) -> Path | None: ...
     @property
@@ -144,6 +147,7 @@ class StereoRecording:
         left, right = (source.times for source in self._sources)
         assert left is not None and right is not None
         pairing = pair_by_time(left, right + lag, self.pairing.interval / 2)
+        pairing.notices.extend(_gap_notices(pairing))
         return StereoRecording(self.rig, *self._sources, pairing)
 
     def view(self, side: int, numbers: Sequence[int]) -> Iterator[Image | None]:
@@ -236,7 +240,8 @@ class StereoRecording:
 
 def open_recording(clip: StereoSource) -> StereoRecording:
     """The recording of a clip. Raises UnusableInput for every problem that shows without reading all of it."""
-    left, right = (open_source(path, clip.bit_depth) for path in (clip.left, clip.right))
+    video_rate = clip.rate if clip.rate_override else None
+    left, right = (open_source(path, clip.bit_depth, video_rate) for path in (clip.left, clip.right))
     if clip.times is not None:
         pairing = pair_by_time(*read_times(clip.times, len(left), len(right)), clip.tolerance)
     elif left.times is None and right.times is None:
@@ -251,8 +256,9 @@ def open_recording(clip: StereoSource) -> StereoRecording:
         )
     else:
         pairing = pair_by_time(left.times, right.times, clip.tolerance)
-        if clip.rate is not None:
-            pairing.notices.append(message("rate_ignored", clip=clip.path, source="the videos carry their"))
+        right.notices.extend(_start_notices(left, right, pairing.interval))
+        if clip.rate is not None and not clip.rate_override:
+            left.notices.append(message("rate_ignored", clip=clip.path, source="the videos carry their"))
     pairing.notices.extend(_gap_notices(pairing))
     return StereoRecording(clip.rig, KeptImages(left), KeptImages(right), pairing)
 
@@ -260,23 +266,26 @@ def open_recording(clip: StereoSource) -> StereoRecording:
 def pair_by_time(left: Array, right: Array, tolerance: float | None = None) -> Pairing:
     """Pairs the frames taken at ``left`` (N,) and ``right`` (M,) seconds that are each other's nearest.
 
-    At most ``tolerance`` seconds may lie between the two, a quarter of the median frame interval by default. Raises
-    UnusableInput when no two frames are that near.
+    Frames whose times do not increase with the others' are left out. At most ``tolerance`` seconds may lie between the
+    two of a pair, a quarter of the median frame interval by default. Raises UnusableInput when no two frames are that
+    near.
     """
-    interval = float(np.median(np.concatenate([np.diff(left), np.diff(right)])))
+    ordered = [np.flatnonzero(longest_increasing_subsequence(times)) for times in (left, right)]
+    notices = [*_restamped("left", left, ordered[0]), *_restamped("right", right, ordered[1])]
+    a, b = left[ordered[0]], right[ordered[1]]
+    interval = float(np.median(np.concatenate([np.diff(a), np.diff(b)])))
     if tolerance is None:
         tolerance = 0.25 * interval
-    to_right, to_left = _nearest(left, right), _nearest(right, left)
-    i = np.arange(len(left))
-    mutual = (to_left[to_right] == i) & (np.abs(right[to_right] - left) <= tolerance + 1e-9)
-    i, j = i[mutual], to_right[mutual]
+    to_right, to_left = _nearest(a, b), _nearest(b, a)
+    mutual = (to_left[to_right] == np.arange(len(a))) & (np.abs(b[to_right] - a) <= tolerance + 1e-9)
+    i, j = ordered[0][mutual], ordered[1][to_right[mutual]]
     if not len(i):
         raise UnusableInput(
             f"left and right: no two frames lie within {1e3 * tolerance:.3g} ms of each other "
-            f"(left {left[0]:.3f} to {left[-1]:.3f} s, right {right[0]:.3f} to {right[-1]:.3f} s)"
+            f"(left {a[0]:.3f} to {a[-1]:.3f} s, right {b[0]:.3f} to {b[-1]:.3f} s)"
         )
     within = f"within {1e3 * tolerance:.3g} ms"
-    notices = [*_unmatched("left", len(left), i, within), *_unmatched("right", len(right), j, within)]
+    notices += [*_unmatched("left", ordered[0], i, within), *_unmatched("right", ordered[1], j, within)]
     skews = right[j] - left[i]
     if np.abs(skews).max() > MIN_REPORTED_SKEW_S:
         median, largest = 1e3 * float(np.median(skews)), 1e3 * float(np.abs(skews).max())
@@ -312,8 +321,8 @@ def pair_images(left: ImageSource, right: ImageSource, rate: float) -> Pairing:
         if not len(common):
             raise UnusableInput(f"{left.name} and {right.name}: no two images have the same number in their names")
         notices = [
-            *_unmatched("left", len(n), i, "of the same number"),
-            *_unmatched("right", len(m), j, "of the same number"),
+            *_unmatched("left", np.arange(len(n)), i, "of the same number"),
+            *_unmatched("right", np.arange(len(m)), j, "of the same number"),
         ]
     return Pairing(i, j, (n[i] - n[0]) / rate, np.zeros(len(i)), 1 / rate, notices)
 
@@ -321,7 +330,7 @@ def pair_images(left: ImageSource, right: ImageSource, rate: float) -> Pairing:
 def read_times(path: Path, left: int, right: int) -> tuple[Array, Array]:
     """The columns left_s and right_s, in seconds, of a times.csv for ``left`` and ``right`` frames.
 
-    Raises UnusableInput, naming the row, for anything but numbers that strictly increase.
+    Raises UnusableInput, naming the row, for anything but numbers, and for columns of which no two increase.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -347,8 +356,9 @@ def read_times(path: Path, left: int, right: int) -> tuple[Array, Array]:
             raise UnusableInput(f"{path}: frame {i}: {','.join(row)!r}; expected finite numbers")
         if values[i, 0] != i:
             raise UnusableInput(f"{path}: frame {row[0]} stands where frame {i} is expected")
-        if i and (values[i, 1:] <= values[i - 1, 1:]).any():
-            raise UnusableInput(f"{path}: frame {i}: the times do not increase")
+    for side, times in zip(VIEW_NAMES, values[:, 1:].T, strict=True):
+        if longest_increasing_subsequence(times).sum() < 2:
+            raise UnusableInput(f"{path}: {side}_s: the times do not increase")
     interval = float(np.median(np.diff(values[:, 1]))) if len(values) > 1 else 0.0
     if interval > MAX_INTERVAL_S:
         unit = next((name for name, size in TIME_UNITS.items() if interval * size <= MAX_INTERVAL_S), "another unit")
@@ -381,20 +391,38 @@ def _nearest(times: Array, among: Array) -> Indices:
 
 
 def _gap_notices(pairing: Pairing) -> list[Message]:
-    gaps, interval = np.diff(pairing.times), pairing.interval
-    return [
-        message(
-            "frames_missing",
-            gap=f"{round(gaps[k] / interval) - 1} dropped between frames {pairing.left[k]} and {pairing.left[k + 1]}: "
-            f"{gaps[k]:.3f} s lie between them",
-            usual_s=interval,
-        )
-        for k in np.flatnonzero(gaps > 1.5 * interval)
-    ]
+    """One notice of all gaps between the pairs."""
+    steps, interval = np.diff(pairing.times), pairing.interval
+    gaps = np.flatnonzero(steps > MIN_GAP_RATIO * interval)
+    if not len(gaps):
+        return []
+    dropped = int(np.sum(np.round(steps[gaps] / interval) - 1))
+    k = gaps[np.argmax(steps[gaps])]
+    places = f"in {len(gaps)} places, most " if len(gaps) > 1 else ""
+    gap = (
+        f"{dropped} dropped {places}between frames {pairing.left[k]} and {pairing.left[k + 1]}: {steps[k]:.3f} s lie "
+        "between them"
+    )
+    return [message("frames_missing", gap=gap, usual_s=interval)]
 
 
-def _unmatched(side: str, count: int, matched: Indices, criterion: str) -> list[Message]:
-    unmatched = np.setdiff1d(np.arange(count), matched)
+def _start_notices(left: ImageSource, right: ImageSource, interval: float) -> list[Message]:
+    """That the time stamps of the two views begin more than an ``interval`` (s) apart, if so."""
+    assert left.times is not None and right.times is not None
+    delay = float(right.times[0] - left.times[0])
+    if abs(delay) <= MIN_GAP_RATIO * interval:
+        return []
+    delay_text = f"{abs(delay):.3f} s {'after' if delay > 0 else 'before'}"
+    return [message("views_start_apart", right=right.name, delay=delay_text, left=left.name)]
+
+
+def _restamped(side: str, times: Array, ordered: Indices) -> list[Message]:
+    unordered = np.setdiff1d(np.arange(len(times)), ordered)
+    return [message("frames_restamped", video=side, frames=_format_frames(unordered))] if len(unordered) else []
+
+
+def _unmatched(side: str, frames: Indices, matched: Indices, criterion: str) -> list[Message]:
+    unmatched = np.setdiff1d(frames, matched)
     other = "right" if side == "left" else "left"
     if not len(unmatched):
         return []

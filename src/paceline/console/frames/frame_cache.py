@@ -103,11 +103,13 @@ class ChaseFrames(RecordingFrames):
     def __init__(self, file: Path) -> None:
         model = read_cached(PartialFollowModel, file)
         self.camera: Camera = load_camera(file.parent / model.camera)
-        source = open_source(file.parent / model.video, model.bit_depth)
-        if source.times is None and model.rate is None:
+        rate = None if model.rate is None else model.rate.value
+        video_rate = rate if model.rate is not None and model.rate.override else None
+        source = open_source(file.parent / model.video, model.bit_depth, video_rate)
+        if source.times is None and rate is None:
             raise UnusableInput(f"{file}: rate: missing; a folder of images needs it")
         numbers = np.arange(len(source))
-        times = numbers / (model.rate or 1.0) if source.times is None else source.times
+        times = numbers / (rate or 1.0) if source.times is None else source.times
         self.notices = source.notices
         first = next(iter(source.read([0])), None)
         if first is not None and first.shape != self.camera.image_size[::-1]:
