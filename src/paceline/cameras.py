@@ -176,7 +176,8 @@ class RigUncertainty:
 class StereoRig:
     """Two cameras, rotation ``R`` (3, 3) and translation ``t`` (3,) in metres: ``X_right = R X_left + t``.
 
-    Without ``uncertainty`` the calibration is exact.
+    Without ``uncertainty`` the calibration is exact. ``scene_points`` is the number of points of a scene by which the
+    rotation was corrected since, 0 where it was not.
     """
 
     left: Camera
@@ -184,6 +185,7 @@ class StereoRig:
     R: Array
     t: Array
     uncertainty: RigUncertainty | None = None
+    scene_points: int = 0
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:

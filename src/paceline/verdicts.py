@@ -254,13 +254,29 @@ _NOTHING_FOUND_ROWS = {
     ),
     "rig_moved": (
         "the rig has moved: points lie {offset_px:.2f} px off their lines (chance otherwise: {chance:.1g}, limit "
-        "{min_chance:g}); calibrate it again, or --correct-rotation -o rig.yaml",
-        "Calibrate the cameras again, or correct their rotation with `paceline rig check --correct-rotation`.",
+        "{min_chance:g}); calibrate it again{alternative}",
+        "Calibrate the cameras again, or, where it is offered, correct their rotation with `paceline rig check "
+        "--correct-rotation`.",
     ),
     "rig_differs_from_file": (
         "the rig does not stand as its file says: points lie {offset_px:.2f} px off their lines (chance otherwise: "
-        "{chance:.1g}, limit {min_chance:g}); calibrate it again, or --correct-rotation -o rig.yaml",
-        "Calibrate the cameras again, or correct their rotation with `paceline rig check --correct-rotation`.",
+        "{chance:.1g}, limit {min_chance:g}); calibrate it again{alternative}",
+        "Calibrate the cameras again, or, where it is offered, correct their rotation with `paceline rig check "
+        "--correct-rotation`.",
+    ),
+    "rotation_unexplained": (
+        "no correction: a rotation explains {explained_px:.2f} px of this and leaves {unexplained_px:.2f} px, which is "
+        "more than {max_share:.0%} of all: something else is wrong",
+        "Calibrate the cameras again; check that the pictures are rectified and cropped as at the calibration.",
+    ),
+    "rotation_ambiguous": (
+        "no correction: a change of all focal lengths together explains this about as well as a rotation (odds "
+        "{odds:.2g}, at least {min_odds:.0f} needed), and with it speeds are others",
+        "Calibrate the cameras again; check that the videos are not cropped, zoomed or stabilised.",
+    ),
+    "rotation_uncertain": (
+        "no correction: it would leave speeds at {distance_m:.0f} m unsure by ± {share:.0%} (limit {max_share:.0%})",
+        "Calibrate the cameras again.",
     ),
     "rig_unchecked": (
         "cannot be decided: only {points} points of the scene match, in too few places; film something with more "
@@ -274,6 +290,11 @@ _WARNING_ROWS = {
         "{rig} states no uncertainty: that of an ordinary, careful calibration is assumed; state its own, or "
         "`uncertainty: exact`",
         "State `uncertainty` in rig.yaml; `paceline calibrate` writes it.",
+    ),
+    "rig_corrected": (
+        "the rig's rotation was corrected by {points} points of a scene, which show no error of all focal lengths "
+        "together and of the distance between the cameras",
+        "Calibrate the cameras again when you can.",
     ),
     "path_undetermined": (
         "path {path}: {cause}; its vehicles are measured without it",

@@ -19,6 +19,7 @@ from paceline.cameras import RigUncertainty, StereoRig, perturbed_rigs
 from paceline.geometry import triangulate
 
 DISTANCES_M = (20.0, 50.0, 80.0)
+VERDICT_DISTANCE_M = 50.0  # one of these, at which calibrations are judged
 TRAVEL_M = 10.0  # distance over which a speed is measured
 LATERAL_SHARES = (-0.25, 0.0, 0.25)  # offsets from the image's centre at which vehicles drive, of its width
 FITTED_IMAGE_SHARE = 0.6  # share of the image over which a pinhole camera is fitted to a lens

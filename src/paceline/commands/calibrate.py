@@ -20,7 +20,6 @@ MAX_GOOD_SPEED_SHARE, MAX_USABLE_SPEED_SHARE = (
     0.005,
     0.02,
 )  # half a 95 % interval of a speed at VERDICT_DISTANCE_M metres, as a share of it
-VERDICT_DISTANCE_M = 50.0
 
 
 def calibrate(
@@ -122,6 +121,8 @@ def _with_interval(value: float, half: float, digits: int) -> str:
 
 def verdict(c: Calibration) -> str:
     """One line that rates the calibration by the uncertainty of speeds that it causes."""
+    from paceline.calibration.speed_sensitivity import VERDICT_DISTANCE_M
+
     share = c.coverage_factor * next(e.along for e in c.effects if e.distance == VERDICT_DISTANCE_M)
     statement = f"the calibration leaves speeds at {VERDICT_DISTANCE_M:.0f} m unsure by {100 * share:.2f} %"
     if share <= MAX_GOOD_SPEED_SHARE:

@@ -18,6 +18,7 @@ from paceline.verdicts import message
 
 if TYPE_CHECKING:
     from paceline.calibration.rig_check import RigCheck, RotationCorrection
+    from paceline.verdicts import Message
 
 rig = typer.Typer(help="Rigs: import and check them.", rich_markup_mode=None)
 
@@ -97,12 +98,12 @@ def rig_check(
 ) -> int:
     """Check by points of the scene whether the cameras have moved since their calibration.
 
-    Ends with status 1 where they do not, or where the scene cannot tell.
+    Ends with status 1 where they have, where the scene cannot tell, or where it cannot tell what to correct.
     """
     if correct != (out is not None):
         raise UnusableInput("--correct-rotation and --out belong together: the corrected rig needs a file to go to")
 
-    from paceline.calibration.rig_check import check_rig, correct_rotation, has_enough_matches
+    from paceline.calibration.rig_check import check_rig, correct_rotation, correction_refusal, has_enough_matches
     from paceline.calibration.scene_matches import match_scene
     from paceline.documents.loading import load_clip_recording
     from paceline.documents.rig_yaml import rig_yaml
@@ -120,43 +121,51 @@ def rig_check(
         print(f"verdict  {message('rig_unchecked', points=len(matches))}")
         return EXIT_NOTHING_MEASURED
     check = check_rig(document.rig, matches)
-    _print_check(check, matches.frames)
+    corrected = correct_rotation(document.rig, check)
+    refusal = correction_refusal(check, corrected)
+    _print_check(check, corrected, matches.frames, refusal)
     if out is not None:
-        corrected = correct_rotation(document.rig, check)
+        if refusal:
+            return EXIT_NOTHING_MEASURED
         comments = [f"rotation refined by {check.matches} points of the scene in {clip.name}"]
         if not check.states_uncertainty:
             comments.append("the uncertainty before that is assumed: that of an ordinary, careful calibration")
         write_all_or_none({out: rig_yaml(corrected.rig, comments).encode()})
-        _print_refinement(corrected, out)
+        _print_effects(corrected, out)
         return EXIT_DONE
-    return EXIT_NOTHING_MEASURED if check.moved else EXIT_DONE
+    return EXIT_NOTHING_MEASURED if check.moved or refusal.code == "rotation_unexplained" else EXIT_DONE
 
 
-def _print_check(check: RigCheck, frames: int) -> None:
+def _print_check(check: RigCheck, correction: RotationCorrection, frames: int, refusal: Message) -> None:
     import numpy as np
 
     from paceline.units import COVERAGE_95
 
-    turn, half = np.degrees(check.rotation), np.degrees(COVERAGE_95 * check.std)
-    print_columns(
-        [
-            ("rotation since calibration", "degrees, 95 %"),
-            *((axis, f"{t:+.4f} ± {h:.4f}") for axis, t, h in zip(ROTATION_NAMES, turn, half, strict=True)),
-        ]
-    )
+    rows = [("rotation since calibration", "degrees, 95 %", "determined by")]
+    for axis, t, s, share in zip(
+        ROTATION_NAMES, np.degrees(correction.rotation), np.degrees(correction.std), correction.scene_share, strict=True
+    ):
+        source = "the scene" if share > 0.5 else "the calibration: the scene does not determine it"
+        rows.append((axis, f"{t:+.4f} ± {COVERAGE_95 * s:.4f}", source))
+    print_columns(rows)
     print(
-        f"\n{check.matches} points in {frames} frames, off their epipolar lines by {check.rotation_error_px:.2f} px "
-        f"(rms) due to the rotation and {check.residual_px:.2f} px of noise"
+        f"\n{check.matches} points in {frames} frames, off their epipolar lines (rms) by {correction.explained_px:.2f} "
+        f"px that this rotation explains, {correction.unexplained_px:.2f} px that it does not, and "
+        f"{check.residual_px:.2f} px of noise"
     )
-    print(f"verdict  {verdict(check)}")
+    print(f"verdict  {verdict(check, refusal)}")
+    if refusal and (check.moved or refusal.code != "rotation_unexplained"):
+        print(f"note: {refusal}", file=sys.stderr)
     if not check.states_uncertainty:
         print(f"note: {message('rig_uncertainty_missing', rig='the rig')}", file=sys.stderr)
 
 
-def verdict(check: RigCheck) -> str:
-    """One line on whether the rig has moved since its calibration."""
+def verdict(check: RigCheck, refusal: Message) -> str:
+    """One line on whether the rig has moved since its calibration; ``refusal`` is why it cannot be corrected."""
     from paceline.calibration.rig_check import SIGNIFICANCE_LEVEL
 
+    if not check.moved and refusal.code == "rotation_unexplained":
+        return refusal
     if not check.moved:
         return f"the rig has not moved; the scene agrees with it (chance of so large a difference: {check.p_value:.2g})"
     return message(
@@ -164,22 +173,13 @@ def verdict(check: RigCheck) -> str:
         offset_px=check.rotation_error_px,
         chance=check.p_value,
         min_chance=SIGNIFICANCE_LEVEL,
+        alternative="" if refusal else ", or --correct-rotation -o rig.yaml",
     )
 
 
-def _print_refinement(correction: RotationCorrection, out: Path) -> None:
-    import numpy as np
-
+def _print_effects(correction: RotationCorrection, out: Path) -> None:
     from paceline.units import COVERAGE_95
 
-    print()
-    rows = [("refined", "rotation, degrees, 95 %", "determined by")]
-    for axis, t, s, share in zip(
-        ROTATION_NAMES, np.degrees(correction.rotation), np.degrees(correction.std), correction.scene_share, strict=True
-    ):
-        source = "the scene" if share > 0.5 else "the calibration: the scene does not determine it"
-        rows.append((axis, f"{t:+.4f} ± {COVERAGE_95 * s:.4f}", source))
-    print_columns(rows)
     effects = "   ".join(f"{e.distance:.0f} m ± {100 * COVERAGE_95 * e.along:.1f} %" for e in correction.effects)
     print(f"speeds   {effects}   (95 %, from the calibration alone)")
     print(f"No scene determines the distance between the cameras: {out} keeps the calibration's.")

@@ -127,7 +127,7 @@ def load_rig(path: str | Path) -> StereoRig:
     left, right = _camera(path, "left.", model.left), _camera(path, "right.", model.right)
     _refuse(path, "rotation", plausibility.check_rotation(model.rotation))
     R = plausibility.nearest_rotation(model.rotation)
-    rig = StereoRig(left, right, R, model.translation)
+    rig = StereoRig(left, right, R, model.translation, scene_points=model.scene_points or 0)
     _refuse(path, "translation", plausibility.check_baseline(rig))
     if model.uncertainty is None:
         return with_assumed_uncertainty(rig)

@@ -236,6 +236,7 @@ class RigModel(Document):
     right: CameraModel
     rotation: Matrix
     translation: Vector
+    scene_points: Annotated[int, Field(ge=1)] | None = None
     uncertainty: Annotated[UncertaintyModel, WrapValidator(_exact_or_keys)] | None = None
 
 

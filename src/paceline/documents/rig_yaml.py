@@ -14,6 +14,8 @@ def rig_yaml(rig: StereoRig, comments: Sequence[str] = ()) -> str:
     for side, camera in (("left", rig.left), ("right", rig.right)):
         lines += [f"{side}:", *_camera(camera)]
     lines += ["rotation:", *(f"  - {_row(row, 12)}" for row in rig.R), f"translation: {_row(rig.t, 9)}"]
+    if rig.scene_points:
+        lines.append(f"scene_points: {rig.scene_points}  # by which the rotation was corrected")
     if rig.uncertainty is None:
         lines.append("uncertainty: exact")
     elif not rig.uncertainty.is_assumed:

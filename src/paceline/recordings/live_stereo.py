@@ -19,7 +19,7 @@ import numpy as np
 
 from paceline.cameras import ALL_ROWS, Camera, Quantity, StereoRig
 from paceline.recordings.monocular import STOP_POLL_INTERVAL_S, CameraFrame, CameraRecording, Grey, open_camera
-from paceline.recordings.stereo import MIN_REPORTED_SKEW_S, StereoFrame
+from paceline.recordings.stereo import MIN_REPORTED_SKEW_S, StereoFrame, rig_notices
 from paceline.verdicts import message
 
 MAX_QUEUED_FRAMES = 64  # frames per view; a pause of seconds loses none, beyond them the oldest is dropped
@@ -76,6 +76,7 @@ class LiveStereo:
             )
             for address, camera in zip(clip.addresses, clip.rig.cameras, strict=True)
         ]
+        self._rig = clip.rig
         self._stated_offset = 0.0 if clip.offset is None else clip.offset.value
         self._clock_offset = 0.0  # s, right clock minus left clock; 0 where they share one
         self._max_skew = 0.0  # s, the greatest of all pairs
@@ -87,7 +88,7 @@ class LiveStereo:
     @property
     def notices(self) -> list[str]:
         """What a user should know about the sources, one plain line each."""
-        messages: list[str] = []
+        messages = rig_notices(self._rig)
         if self._clock_offset:
             messages.append(message("no_common_clock"))
         if self._max_skew > MIN_REPORTED_SKEW_S:

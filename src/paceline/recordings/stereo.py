@@ -193,7 +193,8 @@ class StereoRecording:
     @property
     def notices(self) -> list[str]:
         """What a user should know about the recording, one plain line each; iterating may add to it."""
-        messages: list[str] = [*self._sources[0].notices, *self._sources[1].notices, *self.pairing.notices]
+        messages: list[str] = rig_notices(self.rig)
+        messages += [*self._sources[0].notices, *self._sources[1].notices, *self.pairing.notices]
         for source, repeated, damaged in zip(self._sources, self._repeated, self._damaged, strict=True):
             if damaged:
                 messages.append(message("frames_undecodable", frames=f"{source.name}: {_format_frames(damaged)}"))
@@ -261,6 +262,11 @@ def open_recording(clip: StereoSource) -> StereoRecording:
             left.notices.append(message("rate_ignored", clip=clip.path, source="the videos carry their"))
     pairing.notices.extend(_gap_notices(pairing))
     return StereoRecording(clip.rig, KeptImages(left), KeptImages(right), pairing)
+
+
+def rig_notices(rig: StereoRig) -> list[str]:
+    """That the rig was corrected since its calibration, if so."""
+    return [message("rig_corrected", points=rig.scene_points)] if rig.scene_points else []
 
 
 def pair_by_time(left: Array, right: Array, tolerance: float | None = None) -> Pairing:
