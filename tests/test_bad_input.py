@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -120,6 +121,17 @@ def unreadable(clip: Clip, image: str) -> None:
     (clip.folder / image).symlink_to(clip.folder / image)
 
 
+def piped(clip: Clip, file: str) -> None:
+    """A pipe that nobody writes to."""
+    (clip.folder / file).unlink(missing_ok=True)
+    os.mkfifo(clip.folder / file)
+
+
+def linked(clip: Clip, file: str, to: str) -> None:
+    (clip.folder / file).unlink()
+    (clip.folder / file).symlink_to(to)
+
+
 def unnumbered(clip: Clip) -> None:
     (clip.folder / "left/0002.png").unlink()
     for k, name in ((0, "a"), (1, "b"), (3, "c"), (4, "d")):
@@ -150,6 +162,8 @@ IMAGES: dict[str, Case] = {
     "truncated first image": (lambda c: cut(c, "left/0000.png", 0.5), ["left/0000.png", "truncated"]),
     "truncated later image": (lambda c: cut(c, "left/0004.png", 0.95), ["left/0004.png", "truncated"]),
     "no image at all": (lambda c: c.replace("right/0002.png", b"hello\n" * 50), ["right/0002.png", "not an image"]),
+    "a pipe for an image": (lambda c: piped(c, "left/0002.png"), ["left/0002.png", "is a pipe"]),
+    "a device for an image": (lambda c: linked(c, "right/0001.png", "/dev/zero"), ["right/0001.png", "a device"]),
     "unreadable image": (lambda c: unreadable(c, "left/0003.png"), ["left/0003.png", "cannot be read"]),
     "first of another size": (lambda c: resized(c, "left/0000.png"), ["left/0000.png", "320 × 240", "640 × 480"]),
     "later of another size": (lambda c: resized(c, "right/0003.png"), ["right/0003.png", "320 × 240", "640 × 480"]),
@@ -205,6 +219,7 @@ def videos_apart(clip: Clip) -> None:
 
 
 VIDEOS: dict[str, Case] = {
+    "a pipe": (lambda c: piped(c, videos(c).name), ["left.mkv", "is a pipe"]),
     "missing": (lambda c: videos(c).unlink(), ["left.mkv", "no such file"]),
     "empty": (lambda c: videos(c).write_bytes(b""), ["left.mkv", "cannot be read as a video"]),
     "no video": (lambda c: videos(c).write_bytes(b"no" * 999), ["left.mkv", "cannot be read as a video"]),
@@ -218,6 +233,7 @@ VIDEOS: dict[str, Case] = {
 
 RIG: dict[str, Case] = {
     "missing": (lambda c: (c.folder / "rig.yaml").unlink(), ["rig.yaml", "no such file"]),
+    "a pipe": (lambda c: piped(c, "rig.yaml"), ["rig.yaml", "is a pipe"]),
     "empty": (lambda c: c.replace("rig.yaml", b""), ["rig.yaml", "expected the keys left, right"]),
     "no rotation": (lambda c: c.set("rig.yaml", "rotation.0.1", 0.4), ["rig.yaml", "rotation", "is not a rotation"]),
     "a reflection": (
@@ -326,6 +342,7 @@ CLOCK: dict[str, Case] = {
     "no number": (lambda c: c.set("clip.yaml", "rate", "fast"), ["clip.yaml", "rate", "expected a number", "'fast'"]),
     "not a number": (lambda c: c.set("clip.yaml", "rate", float("nan")), ["clip.yaml", "rate", "found nan"]),
     "neither rate nor times": (lambda c: c.set("clip.yaml", "rate", None), ["clip.yaml", "rate", "missing"]),
+    "a pipe for times.csv": (lambda c: [times(c), piped(c, "times.csv")], ["times.csv", "is a pipe"]),
     "no times.csv": (lambda c: [times(c), (c.folder / "times.csv").unlink()], ["times.csv", "cannot be read"]),
     "backwards": (lambda c: times(c, *clock(0.8, 0.6, 0.4, 0.2, 0)), ["times.csv", "left_s", "do not increase"]),
     "standing still": (lambda c: times(c, *clock(*[0.2] * 5)), ["times.csv", "left_s", "do not increase"]),

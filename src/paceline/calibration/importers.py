@@ -25,7 +25,7 @@ from paceline.cameras import Camera, StereoRig
 from paceline.documents import plausibility
 from paceline.documents.assumed_calibration import with_assumed_uncertainty
 from paceline.documents.yaml_loading import load_yaml
-from paceline.errors import UnusableInput
+from paceline.errors import UnusableInput, refuse_pipe_or_device
 
 Size = tuple[int, int]
 
@@ -258,6 +258,7 @@ def _kitti(texts: dict[Path, str], options: ImportOptions) -> StereoRig:
 
 
 def _text(file: Path) -> str:
+    refuse_pipe_or_device(file)
     try:
         return file.read_text(encoding="utf-8")
     except OSError as error:

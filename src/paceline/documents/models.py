@@ -24,7 +24,7 @@ from pydantic.fields import FieldInfo
 
 from paceline.arrays import Array
 from paceline.documents.yaml_loading import load_yaml
-from paceline.errors import UnusableInput
+from paceline.errors import UnusableInput, refuse_pipe_or_device
 
 MAX_DOCUMENT_NAME_LENGTH = 100
 MAX_NUMBER = 1e9  # upper limit of every pixel and metre in these files; excludes NaN and infinity as well
@@ -312,6 +312,7 @@ M = TypeVar("M", bound=KnownKeys)
 
 def read_document(model: type[M], path: Path) -> M:
     """The file at ``path`` as a ``model``; raises UnusableInput naming the line or key for anything it cannot be."""
+    refuse_pipe_or_device(path)
     try:
         with path.open(encoding="utf-8") as file:
             content = load_yaml(file)

@@ -19,7 +19,7 @@ from av.format import Flags
 from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
-from paceline.errors import UnusableInput
+from paceline.errors import UnusableInput, refuse_pipe_or_device
 from paceline.recordings.time_stamps import longest_increasing_subsequence
 from paceline.verdicts import message, plural
 
@@ -63,6 +63,7 @@ def open_source(path: Path, bit_depth: int | None = None, video_rate: float | No
         files = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
         return ImageFiles(str(path), files, bit_depth)
     if path.exists():
+        refuse_pipe_or_device(path)
         return VideoFile(path, bit_depth, video_rate)
     pattern = re.sub(r"%0(\d+)d", lambda m: "[0-9]" * int(m[1]), str(path))
     if glob.has_magic(pattern):
@@ -333,6 +334,7 @@ def read_image_file(path: Path) -> StoredImage:
 
     Raises UnusableInput for a file that is missing, empty, damaged or of another kind.
     """
+    refuse_pipe_or_device(path)
     try:
         data = path.read_bytes()
     except OSError as error:

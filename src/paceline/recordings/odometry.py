@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from paceline.arrays import Array, Indices
-from paceline.errors import UnusableInput
+from paceline.errors import UnusableInput, refuse_pipe_or_device
 
 ODOMETRY_COLUMNS = ["frame", "x_m", "y_m", "heading_rad"]
 
@@ -46,6 +46,7 @@ def read_odometry(path: Path) -> Odometry:
     """
     frames: list[int] = []
     poses: list[list[float]] = []
+    refuse_pipe_or_device(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = csv.reader(file)

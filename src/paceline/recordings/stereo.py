@@ -16,7 +16,7 @@ import numpy as np
 
 from paceline.arrays import Array, Image, Indices, Mask
 from paceline.cameras import VIEW_NAMES, StereoRig
-from paceline.errors import UnusableInput
+from paceline.errors import UnusableInput, refuse_pipe_or_device
 from paceline.recordings.image_sources import ImageFiles, ImageSource, KeptImages, open_source
 from paceline.recordings.time_stamps import MIN_GAP_RATIO, longest_increasing_subsequence
 from paceline.verdicts import Message, message
@@ -338,6 +338,7 @@ def read_times(path: Path, left: int, right: int) -> tuple[Array, Array]:
 
     Raises UnusableInput, naming the row, for anything but numbers, and for columns of which no two increase.
     """
+    refuse_pipe_or_device(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row]
