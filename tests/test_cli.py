@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import os
 import shlex
@@ -10,8 +11,11 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import av
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -148,6 +152,32 @@ def test_an_error_that_an_interrupt_became_is_an_interrupt(
     with pytest.raises(SystemExit) as exit:
         cli.main()
     assert (exit.value.code, capsys.readouterr().err) == (130, "paceline: interrupted\n")
+
+
+@pytest.mark.usefixtures("signals_as_before")
+@pytest.mark.parametrize(
+    "allocate",
+    [
+        lambda: np.empty(1 << 60, np.uint8),
+        lambda: cv2.resize(np.zeros((9, 9), np.uint8), (1 << 29, 1 << 29)),
+        lambda: _raise(av.error.MemoryError(errno.ENOMEM, "Cannot allocate memory")),
+        lambda: _raise(av.error.BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")),
+        lambda: _raise(RuntimeError("can't start new thread")),
+    ],
+    ids=["NumPy", "OpenCV", "FFmpeg", "FFmpeg's threads", "threads"],
+)
+def test_memory_that_runs_out_is_one_line(
+    allocate: Callable[[], object], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "app", lambda **options: allocate())
+    with pytest.raises(SystemExit) as exit:
+        cli.main()
+    line = "paceline: there is not enough memory; expected more, or a shorter recording\n"
+    assert (exit.value.code, capsys.readouterr().err) == (2, line)
+
+
+def _raise(error: Exception) -> None:
+    raise error
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -17,7 +17,7 @@ from paceline.commands.console import console
 from paceline.commands.drive import drive
 from paceline.commands.follow import follow_vehicle
 from paceline.commands.lanes import lanes
-from paceline.commands.process import ReceivedSignals, StandardOutput
+from paceline.commands.process import ReceivedSignals, StandardOutput, is_out_of_memory
 from paceline.commands.renamed_options import accepting
 from paceline.commands.rig import rig
 from paceline.commands.simulate import simulate
@@ -65,10 +65,14 @@ def main() -> None:
         text = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
         print(f"paceline: {text}; see paceline --help", file=sys.stderr)
         status = EXIT_UNUSABLE_INPUT
-    except Exception:  # compiled code that calls Python raises errors of its own in place of an interrupt
-        if signals.status is None:
+    except Exception as error:
+        if signals.status is not None:  # compiled code that calls Python raises errors of its own for an interrupt
+            status = signals.status
+        elif is_out_of_memory(error):
+            print("paceline: there is not enough memory; expected more, or a shorter recording", file=sys.stderr)
+            status = EXIT_UNUSABLE_INPUT
+        else:
             raise
-        status = signals.status
     signals.ignore()  # what there is to write is written
     if status == EXIT_INTERRUPTED:  # how Typer answers Ctrl-C
         print("paceline: interrupted", file=sys.stderr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -10,6 +11,7 @@ from types import FrameType, TracebackType
 from typing import Any
 
 INTERRUPTING_SIGNALS = signal.SIGINT, signal.SIGTERM
+OPENCV_NO_MEMORY = -4  # code of a cv2.error, as cv2.Error.StsNoMem; OpenCV need not be imported to know it
 
 
 class ReceivedSignals:
@@ -34,6 +36,15 @@ class ReceivedSignals:
         if number == signal.SIGINT:
             raise KeyboardInterrupt
         sys.exit(128 + number)
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether memory ran out, as Python, NumPy, OpenCV and FFmpeg say it: also that of a thread that cannot start."""
+    if isinstance(error, OSError):  # of FFmpeg
+        return error.errno in (errno.ENOMEM, errno.EAGAIN)
+    if isinstance(error, RuntimeError):
+        return "can't start new thread" in str(error)
+    return isinstance(error, MemoryError) or getattr(error, "code", None) == OPENCV_NO_MEMORY
 
 
 class StandardOutput:
