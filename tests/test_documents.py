@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -390,6 +391,13 @@ def test_yaml_that_cannot_be(text, message):
 )
 def test_numbers_are_decimal(text, number):
     assert load_yaml(f"rate: {text}") == {"rate": number}
+
+
+@pytest.mark.parametrize("tag", ["timestamp", "bool", "int", "float", "binary", "set", "map", "seq", "omap", "pairs"])
+@pytest.mark.parametrize("text", ["x", "''", "[x]", "{x: y}"])
+def test_a_value_that_its_tag_does_not_fit_is_refused(tag: str, text: str) -> None:
+    with suppress(yaml.YAMLError, ValueError):  # `read_document` answers these in one line, and no others
+        load_yaml(f"rate: !!{tag} {text}")
 
 
 @pytest.mark.parametrize("text", ["1_0", "1:30", "190:20:30.15", "1_0.5", "0x10", "0b1", "1.2.3"])
