@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import cv2
@@ -32,6 +33,7 @@ from paceline.reports.common.formatting import (
     rejected_advice,
     speed_at,
 )
+from paceline.reports.common.video import VideoWriter
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.units import COVERAGE_95
 from paceline.verdicts import message
@@ -474,3 +476,15 @@ def test_an_interrupt_just_after_the_folder_is_made_leaves_nothing(
     with pytest.raises(KeyboardInterrupt), OutputFolder(tmp_path / "new" / "out"):
         pass
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_encoder_that_has_no_memory_to_start_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def encode(picture: object) -> None:
+        raise av.error.ExternalError(542398533, "Generic error in an external library")
+
+    monkeypatch.setattr(VideoWriter, "_add_stream", lambda self, picture: SimpleNamespace(encode=encode))
+    refused = pytest.raises(
+        UnusableInput, match="^overlay.mp4: the encoder .* cannot be started; is there enough memory"
+    )
+    with refused, VideoWriter(tmp_path / "overlay.mp4", 0.2) as video:
+        video.add(np.zeros((48, 64, 3), np.uint8), 0.0)

@@ -9,6 +9,7 @@ from types import TracebackType
 import av
 import numpy as np
 
+from paceline.errors import UnusableInput
 from paceline.reports.common.drawing import Picture
 from paceline.verdicts import message
 
@@ -34,7 +35,7 @@ class VideoWriter:
         flags = "frag_keyframe+empty_moov+default_base_moof" if fragmented else "+faststart"
         self._container = av.open(str(file), "w", format="mp4", options={"movflags": flags})
         self._stream: av.VideoStream | None = None
-        self._step, self._crf = step, crf
+        self._name, self._step, self._crf = file.name, step, crf
         self._start, self._last = 0.0, -1
 
     def add(self, picture: Picture, time: float) -> None:
@@ -49,7 +50,12 @@ class VideoWriter:
             Fraction(1, TICKS_PER_S),
             round(self._step * TICKS_PER_S),
         )
-        self._container.mux(self._stream.encode(image))
+        try:
+            packets = self._stream.encode(image)
+        except av.error.ExternalError as error:  # the encoder's own; of pictures that it takes, of want of memory
+            problem = f"the encoder {self._codec} cannot be started; is there enough memory?"
+            raise UnusableInput(f"{self._name}: {problem}") from error
+        self._container.mux(packets)
 
     def _add_stream(self, picture: Picture) -> av.VideoStream:
         options = {"preset": "veryfast", "crf": str(self._crf)} if self._codec == "libx264" else {}
