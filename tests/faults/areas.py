@@ -48,12 +48,7 @@ def command_of(case: Case) -> Command:
             options = [] if overlay else ["--no-overlay"]
             return Command(("follow", "clip", "-o", "disk/out", *options), frozenset(output))
         case "calibrate":
-            board = BOARD
-            if rng.random() < 0.1:
-                board = str(
-                    rng.choice(["charuco:7x5:0.09:0.065:DICT_5X5_50", "chessboard:6x4:0.09", "charuco:5x7:0:1:x"])
-                )
-            arguments = ("calibrate", "clip/left", "clip/right", "--board", board, "-o", "disk/out/rig.yaml")
+            arguments = ("calibrate", "clip/left", "clip/right", "--board", BOARD, "-o", "disk/out/rig.yaml")
             return Command(arguments, frozenset({"rig.yaml", "rig.json", "rig.png"}))
         case "lanes":
             if rng.random() < 0.5:

@@ -72,7 +72,7 @@ def document_fault(
             own = np.random.default_rng(int(rng.integers(2**32)))
 
             def damage(folder: Path) -> None:
-                files = sorted([*folder.glob("*.yaml"), *folder.glob("*.csv")])
+                files = sorted(p for p in folder.iterdir() if p.suffix in (".yaml", ".csv") and p.is_file())
                 if files:
                     change(files[int(own.integers(len(files)))], own)
 

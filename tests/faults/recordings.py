@@ -84,10 +84,12 @@ class Recording:
         for file, document in documents.items():
             main = file in ("clip.yaml", "follow.yaml")
             if main and video:
-                document = {**document, **{name: f"{name}{self._suffix}" for name in self.names}}
+                keys = ["video"] if file == "follow.yaml" else self.names
+                document = {
+                    **document,
+                    **dict(zip(keys, (f"{name}{self._suffix}" for name in self.names), strict=True)),
+                }
                 document = {key: value for key, value in document.items() if key != "rate"}
-                if "video" in document:
-                    document["video"] = f"{self.names[0]}{self._suffix}"
             if main and self.stamps is not None and len(self.names) == 2 and not video:
                 document = {key: value for key, value in document.items() if key != "rate"} | {"times": "times.csv"}
                 self._write_times(folder)
