@@ -26,6 +26,14 @@ CORRELATED_MATCHES = 4.0  # neighbouring matches that share their errors
 # Standard deviation of an epipolar residual that all matches of moving points share, by what else than the vehicle lies
 # in their windows; seen on clips with known offsets
 COMMON_MOVING_RESIDUAL_PX = 0.03
+# Degrees of freedom of Student's distribution of a calibration's errors about what it states: rigs are knocked and
+# lenses turned after they were calibrated, and then all may be off by a multiple of it, what one picture does not show
+# included
+CALIBRATION_DOF = 4.0
+# Standard deviation (px) of each term of the epipolar residuals that a lens's distortion leaves which its calibration
+# does not describe, cubic over the picture: ordinary calibrations have residuals of 0.1 to 0.3 px
+DISTORTION_RESIDUAL_PX = 0.15
+DISTORTION_DEGREE = 3
 RIG_STEP_SIGMA = 1e-2  # step of finite differences, in prior standard deviations
 RESIDUAL_FIT_STEPS = 30
 MIN_STD_S = 1e-6  # of an offset or a readout that is exact
@@ -54,10 +62,11 @@ def fit_epipolar_residuals(
 ) -> EpipolarFit:
     """A robust fit (Tukey's weights) of the rig, the offset and the difference between the readouts, right minus left.
 
-    The rig has its calibration's uncertainty as its prior and the offset that which is ``expected``; the readouts'
-    difference is 0 with the standard deviation ``readout_difference_std`` (s). What moves along the epipolar lines
-    shows neither. As motion in the picture is not uniform, the fit is made once more with the left points moved on to
-    the right exposure.
+    The rig has its calibration's uncertainty as its prior, scaled as in Student's distribution where it is off by more;
+    what the lenses' distortion leaves is a nuisance beside it. The offset's prior is that which is ``expected``; the
+    readouts' difference is 0 with the standard deviation ``readout_difference_std`` (s). What moves along the epipolar
+    lines shows neither. As motion in the picture is not uniform, the fit is made once more with the left points moved
+    on to the right exposure.
     """
     fit = _fit_offset(rig, static, moving, expected, readout_difference_std)
     if fit.offset is None:
@@ -86,16 +95,18 @@ def _fit_offset(
     offset_std = max(expected.std, MIN_STD_S)
     rows = (right[:, 1] + 0.5) / rig.right.image_size[1] - 0.5
     Q, is_moving = len(root), len(moving.left) >= MIN_MOVING_MATCHES
-    X = np.column_stack([*by_rig, is_moving * across, is_moving * across * rows])
-    prior = np.diag([*np.ones(Q), offset_std**-2.0, readout_difference_std**-2.0])
-    start = np.zeros(Q + 2)
+    by_distortion = DISTORTION_RESIDUAL_PX * _cubic_terms(left, rig.left.image_size) if Q else np.zeros((len(left), 0))
+    smooth = Q + by_distortion.shape[1]  # what static points and moving ones have in common
+    X = np.column_stack([*by_rig, by_distortion, is_moving * across, is_moving * across * rows])
+    prior = np.diag([*np.ones(smooth), offset_std**-2.0, readout_difference_std**-2.0])
+    start = np.zeros(smooth + 2)
     if is_moving:
         of_static = float(np.median(residual[: len(static.left)])) if len(static.left) else 0.0
-        start[Q] = _likely_offset(residual[len(static.left) :] - of_static, across[len(static.left) :], offset_std)
-    x, covariance, weights = _robust_fit(X, residual, prior, start)
+        start[smooth] = _likely_offset(residual[len(static.left) :] - of_static, across[len(static.left) :], offset_std)
+    x, covariance, weights = _robust_fit(X, residual, prior, start, Q)
     shift = float(np.linalg.norm(x[:Q]))
-    explained, by_static = X[: len(static.left), :Q] @ x[:Q], X[: len(static.left), :Q]
-    spread = np.einsum("ni,ij,nj->n", by_static, covariance[:Q, :Q], by_static)
+    by_static = X[: len(static.left), :smooth]
+    explained, spread = by_static @ x[:smooth], ((by_static @ covariance[:smooth, :smooth]) * by_static).sum(1)
     epipolar_px = None
     if len(static.left):
         epipolar_px = Quantity(float(np.sqrt((explained**2).mean())), float(np.sqrt(spread.mean())), "estimated")
@@ -107,10 +118,18 @@ def _fit_offset(
     if used.sum() < MIN_MOVING_MATCHES:
         return EpipolarFit(corrected, shift, epipolar_px, None)
     speed = float(np.sqrt((across[len(static.left) :][used] ** 2).mean()))
-    std = float(np.hypot(np.sqrt(covariance[Q, Q]), COMMON_MOVING_RESIDUAL_PX / max(speed, 1e-9)))
+    std = float(np.hypot(np.sqrt(covariance[smooth, smooth]), COMMON_MOVING_RESIDUAL_PX / max(speed, 1e-9)))
     return EpipolarFit(
-        corrected, shift, epipolar_px, Quantity(expected.value + float(x[Q]), min(std, offset_std), "estimated")
+        corrected, shift, epipolar_px, Quantity(expected.value + float(x[smooth]), min(std, offset_std), "estimated")
     )
+
+
+def _cubic_terms(pixels: Array, image_size: tuple[int, int]) -> Array:
+    """Products of Legendre polynomials of up to `DISTORTION_DEGREE` (N, 10) at ``pixels`` (N, 2), over the picture."""
+    x, y = (2 * pixels / np.array(image_size) - 1).T
+    powers = np.polynomial.legendre.legvander2d(x, y, [DISTORTION_DEGREE, DISTORTION_DEGREE])
+    degree = np.add.outer(np.arange(DISTORTION_DEGREE + 1), np.arange(DISTORTION_DEGREE + 1)).ravel()
+    return np.asarray(powers[:, degree <= DISTORTION_DEGREE])
 
 
 def _likely_offset(residual: Array, across: Array, reach: float) -> float:
@@ -125,10 +144,14 @@ def _likely_offset(residual: Array, across: Array, reach: float) -> float:
     return float(offsets[np.argmin(misfit)])
 
 
-def _robust_fit(X: Array, residual: Array, prior: Array, start: Array) -> tuple[Array, Array, Array]:
+def _robust_fit(X: Array, residual: Array, prior: Array, start: Array, Q: int) -> tuple[Array, Array, Array]:
     """The parameters x (n,) of ``residual`` (N,) px = X x under a ``prior`` information (n, n) about 0, their
-    covariance (n, n), and the weights (N,), from a ``start`` (n,)."""
-    x = start
+    covariance (n, n), and the weights (N,), from a ``start`` (n,).
+
+    The prior of the first ``Q``, each of standard deviation 1, is Student's, with a common scale that is found by
+    expectation maximisation and is at least 1.
+    """
+    x, normal = start, prior
     weights, information = np.ones(len(X)), prior
     for _ in range(RESIDUAL_FIT_STEPS if len(X) else 0):
         misfit = np.abs(residual - X @ x)
@@ -137,6 +160,9 @@ def _robust_fit(X: Array, residual: Array, prior: Array, start: Array) -> tuple[
         of_matches = (X.T * weights) / (CORRELATED_MATCHES * sigma**2)
         information = of_matches @ X + prior
         x = np.asarray(np.linalg.solve(information, of_matches @ residual), float)
+        squares = float(x[:Q] @ x[:Q] + np.trace(np.linalg.inv(information)[:Q, :Q]))
+        prior = normal.copy()
+        prior[:Q, :Q] *= min((CALIBRATION_DOF + Q) / (CALIBRATION_DOF + squares), 1.0)
     return x, np.asarray(np.linalg.inv(information)), weights
 
 

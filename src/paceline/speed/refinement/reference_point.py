@@ -15,7 +15,7 @@ from paceline.arrays import Array, Mask
 # The greatest share of its variance that the motion does not explain in a column of patches of the vehicle, and that
 # share relative to the columns' lower quartile, for noise. In outlines of drawn and of ray-traced vehicles on bends
 # columns wholly on the vehicle had at most 0.02, those beside it 0.08 and more.
-MAX_UNEXPLAINED_SHARE, MAX_UNEXPLAINED_RATIO = 0.04, 4.0
+MAX_COLUMN_UNEXPLAINED_SHARE, MAX_COLUMN_UNEXPLAINED_RATIO = 0.04, 4.0
 # What the motion does not explain is not the vehicle where its residual variance is larger than this, relative to the
 # columns' lower quartile, or its variance smaller than this, relative to the columns' median: as plain as a road. What
 # lies between may be a part of a vehicle of so little contrast that noise hides it.
@@ -42,7 +42,8 @@ def reference_point(image_variance: Array, residual_variance: Array) -> Referenc
     """The middle of the vehicle, from the variance of the images (columns,) and the part of it that the motion does not
     explain (columns,), in the columns of an outline from left to right."""
     unexplained = residual_variance / np.maximum(image_variance, 1e-9)
-    moves = unexplained <= max(MAX_UNEXPLAINED_SHARE, MAX_UNEXPLAINED_RATIO * float(np.quantile(unexplained, 0.25)))
+    usual = MAX_COLUMN_UNEXPLAINED_RATIO * float(np.quantile(unexplained, 0.25))
+    moves = unexplained <= max(MAX_COLUMN_UNEXPLAINED_SHARE, usual)
     is_larger = residual_variance > MIN_RESIDUAL_RATIO * np.quantile(residual_variance, 0.25)
     is_plain = image_variance < MAX_PLAIN_RATIO * np.median(image_variance)
     other = ~moves & (is_larger | is_plain)
