@@ -49,6 +49,7 @@ def test_the_lag_is_found_to_the_nearest_frame(lagging, lag):
     assert lag == pytest.approx(0.1 * round(lagging[0].errors.offset / 0.1))
 
 
+@pytest.mark.slow
 def test_videos_at_the_same_time_do_not_lag(tmp_path):
     path = write(render(replace(SCENE, errors=StereoErrors(crf=14))), tmp_path / "clip")
     assert estimate_lag(open_recording(load_clip(path))) == 0.0

@@ -65,7 +65,7 @@ def test_nothing_is_said_of_what_does_not_move_as_fitted() -> None:
     assert reference_point(np.full(5, 3.0), np.full(5, 2.0)).shift == 0.0
 
 
-@pytest.mark.parametrize("seed, aside", slow_after(1, [(3, 0.3), (3, -0.3), (5, 0.35), (5, -0.35)]))
+@pytest.mark.parametrize("seed, aside", slow_after(0, [(3, 0.3), (3, -0.3), (5, 0.35), (5, -0.35)]))
 def test_an_outline_partly_beside_the_vehicle_gives_the_speed_of_its_middle(
     tmp_path: Path, seed: int, aside: float
 ) -> None:

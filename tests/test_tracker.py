@@ -178,7 +178,7 @@ def test_an_estimate_fits_the_truth() -> None:
     assert np.isnan(estimates[0].yaw_rate) and all(abs(e.yaw_rate) < 0.02 for e in estimates[1:])
 
 
-@pytest.mark.parametrize(("kind", "sign"), slow_after(1, [("left", 1), ("right", -1)]))
+@pytest.mark.parametrize(("kind", "sign"), slow_after(0, [("left", 1), ("right", -1)]))
 def test_the_yaw_rate_of_a_curve(kind: str, sign: int) -> None:
     """Towards growing arc length the road turns left; who comes along it the other way turns right."""
     rates = [e.yaw_rate for seed in (2, 3, 4) for e in track(small(kind, 15.0, seed=seed), 1.0)[3:]]
