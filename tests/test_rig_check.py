@@ -177,6 +177,11 @@ def test_a_knock_is_corrected_unless_speeds_would_be_too_unsure(
     assert {refused(file, scene(rotated_rig(rig, np.radians(degrees)), seed)) for seed in range(5)} == {code}
 
 
+def test_an_exact_rig_that_stands_is_not_taken_for_a_crop(rig: StereoRig) -> None:
+    """Its calibration allows no rotation at all, so any that the scene's noise makes would be far beyond it."""
+    assert "rotation_ambiguous" not in {refused(rig, scene(rig, seed)) for seed in range(3)}
+
+
 def test_a_keystone_is_no_pan(rig: StereoRig) -> None:
     """KITTI's rectified pictures differ by 0.13 px of height at (100, 100) px: a pan that made it would be 0.53°, and
     change all disparities by 6.6 px."""

@@ -307,7 +307,7 @@ _WARNING_ROWS = {
     "outline_beside_vehicle": (
         "about {share:.0%} of the outline's width, at {side}, does not move with the vehicle, whose middle is less "
         "certain for it: on a bend its sides differ in speed",
-        "Draw the outline around the front or rear of the vehicle alone.",
+        "Draw the outline around one side of the vehicle, such as its front, and nothing else.",
     ),
     "occluded_frames": ("hidden or unlike itself in {frames}", "Find these frames in the overlay."),
     "lost_at_frame": ("lost at frame {frame}", "The frames before count; find the moment in the overlay."),

@@ -195,6 +195,7 @@ def correct_rotation(rig: StereoRig, check: RigCheck) -> RotationCorrection:
     corrected = StereoRig(corrected.left, corrected.right, corrected.R, corrected.t, stated, check.matches)
     share = 1 - after / np.maximum(before, 1e-300)
     by_focal_lengths = COMMON_FOCAL_CHANGE_STD * G @ _common_focal_change(rig)
+    shift_sigma = float(np.sqrt(correction @ np.linalg.solve(calibrated, correction)))
     log_densities = [
         float(multivariate_normal.logpdf(check.rotation, cov=chance + change))
         for change in (knock_variance * np.eye(3), np.outer(by_focal_lengths, by_focal_lengths))
@@ -207,7 +208,7 @@ def correct_rotation(rig: StereoRig, check: RigCheck) -> RotationCorrection:
         effects=speed_effects(corrected),
         explained_px=float(np.sqrt(((_rotation_jacobian(rig, check.points) @ correction) ** 2).mean())),
         unexplained_px=smooth_residual(corrected, check.points),
-        shift_sigma=float(np.sqrt(correction @ np.linalg.solve(calibrated, correction))),
+        shift_sigma=0.0 if rig.uncertainty is None else shift_sigma,  # an exact one is judged by `RigCheck.moved`
         log_odds=log_densities[0] - log_densities[1],
     )
 

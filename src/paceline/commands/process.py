@@ -40,8 +40,9 @@ class ReceivedSignals:
 
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether memory ran out, as Python, NumPy, OpenCV and FFmpeg say it: also that of a thread that cannot start."""
-    if isinstance(error, OSError):  # of FFmpeg
-        return error.errno in (errno.ENOMEM, errno.EAGAIN)
+    if isinstance(error, OSError):  # EAGAIN is FFmpeg's where a thread cannot start
+        is_of_ffmpeg = type(error).__module__.startswith("av.")
+        return error.errno == errno.ENOMEM or is_of_ffmpeg and error.errno == errno.EAGAIN
     if isinstance(error, RuntimeError):
         return "can't start new thread" in str(error)
     return isinstance(error, MemoryError) or getattr(error, "code", None) == OPENCV_NO_MEMORY

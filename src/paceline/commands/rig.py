@@ -98,7 +98,7 @@ def rig_check(
 ) -> int:
     """Check by points of the scene whether the cameras have moved since their calibration.
 
-    Ends with status 1 where they have, where the scene cannot tell, or where it cannot tell what to correct.
+    Ends with status 1 where they have, where the scene cannot tell, or where what was asked to be corrected cannot be.
     """
     if correct != (out is not None):
         raise UnusableInput("--correct-rotation and --out belong together: the corrected rig needs a file to go to")
@@ -124,6 +124,10 @@ def rig_check(
     corrected = correct_rotation(document.rig, check)
     refusal = correction_refusal(check, corrected)
     _print_check(check, corrected, matches.frames, refusal)
+    if refusal and (check.moved or out is not None):
+        print(f"note: {refusal}", file=sys.stderr)
+    if not check.states_uncertainty:
+        print(f"note: {message('rig_uncertainty_missing', rig='the rig')}", file=sys.stderr)
     if out is not None:
         if refusal:
             return EXIT_NOTHING_MEASURED
@@ -154,10 +158,6 @@ def _print_check(check: RigCheck, correction: RotationCorrection, frames: int, r
         f"{check.residual_px:.2f} px of noise"
     )
     print(f"verdict  {verdict(check, refusal)}")
-    if refusal and (check.moved or refusal.code != "rotation_unexplained"):
-        print(f"note: {refusal}", file=sys.stderr)
-    if not check.states_uncertainty:
-        print(f"note: {message('rig_uncertainty_missing', rig='the rig')}", file=sys.stderr)
 
 
 def verdict(check: RigCheck, refusal: Message) -> str:

@@ -141,7 +141,7 @@ class VideoFile:
     """A video file, timed by its presentation time stamps (never by its frame rate).
 
     Where it carries none, as raw H.264 and MJPEG streams do, its frames are numbered and its ``times`` None. Frames
-    whose time stamps repeat or precede one before them are left out. With a ``rate``, in frames per second, all frames
+    whose time stamps repeat or are out of order are left out. With a ``rate``, in frames per second, all frames
     count, whatever their time stamps, and are timed by it.
     Opening it reads the packets' time stamps, and decodes only what follows the last key frame to find out whether the
     file is cut short.
@@ -242,12 +242,13 @@ class VideoFile:
             self._seekable, self._is_timed = False, None not in pts
         self._is_timed &= stamps_matter or not unordered and len(set(pts)) == len(pts)  # else they tell no frames apart
         if not self._is_timed:
+            packets = len(pts) + unordered
             self._seekable, time_base, key, stated_end, unordered = False, Fraction(1), None, None, 0
-            packets, pts = len(pts), [picture.pts for picture in self._decode()]
+            pts = [picture.pts for picture in self._decode()]
             if len(pts) < packets:
                 raise UnusableInput(
                     f"{self.name}: {packets - len(pts)} of {packets} pictures cannot be decoded, and without stamps "
-                    "nothing tells when the others were taken; expected a whole stream, or one with time stamps"
+                    "that count nothing tells when the others were taken; expected a whole stream, or its time stamps"
                 )
         stamps = sorted({p for p in pts if p is not None})
         if left_out := unordered + len(pts) - len(stamps):

@@ -252,7 +252,7 @@ class VehicleMeasurement:
             mean_speed_std=float(np.hypot(noise, model)),
             half_width=float(np.hypot(student * noise, COVERAGE_95 * model)),
             speed_jacobian=self._by_row(gradients @ fit.response),
-            speed_stds=self._by_row(np.sqrt(variances + refined.reference_std**2)),
+            speed_stds=self._by_row(np.sqrt(variances + refined.reference_variances)),
             exposure_stds=refined.trajectory.timing.stds,
             synchronisation=self._synchronisation(refined),
         )

@@ -50,11 +50,14 @@ class VideoWriter:
             Fraction(1, TICKS_PER_S),
             round(self._step * TICKS_PER_S),
         )
+        self._encode(self._stream, image)
+
+    def _encode(self, stream: av.VideoStream, image: av.VideoFrame | None) -> None:
+        """Writes what ``stream`` makes of a further ``image``, or of those that it has kept."""
         try:
-            packets = self._stream.encode(image)
+            packets = stream.encode(image)
         except av.error.ExternalError as error:  # the encoder's own; of pictures that it takes, of want of memory
-            problem = f"the encoder {self._codec} cannot be started; is there enough memory?"
-            raise UnusableInput(f"{self._name}: {problem}") from error
+            raise UnusableInput(f"{self._name}: the encoder {self._codec} failed; expected more memory") from error
         self._container.mux(packets)
 
     def _add_stream(self, picture: Picture) -> av.VideoStream:
@@ -76,7 +79,7 @@ class VideoWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is None and self._stream is not None:
-            self._container.mux(self._stream.encode())
+            self._encode(self._stream, None)
         self._container.close()
 
 

@@ -56,9 +56,18 @@ class RefinedMotion:
         """Speed (F,) at every frame and its standard deviation (F,), systematic part included where known; m/s."""
         g = self.trajectory.speed_jacobian
         total = self.covariance + self.model_covariance + np.nan_to_num(self.systematic_covariance)
-        by_width = np.gradient(self._distance_across, self.trajectory.frame_times)
-        variance = np.einsum("fi,ij,fj->f", g, total, g) + (self.reference.std * by_width) ** 2
-        return g @ self.theta + self.reference.shift * by_width, np.sqrt(variance)
+        variance = np.einsum("fi,ij,fj->f", g, total, g) + self.reference_variances
+        return g @ self.theta + self.reference.shift * self._speeds_by_width, np.sqrt(variance)
+
+    @property
+    def reference_variances(self) -> Array:
+        """Variance of the speed (F,) at every frame, m²/s², as the outline does not show where the middle is."""
+        return np.asarray((self.reference.std * self._speeds_by_width) ** 2)
+
+    @property
+    def _speeds_by_width(self) -> Array:
+        """The speed (F,) m/s of a point one width to the right of the region's middle, relative to this."""
+        return np.gradient(self._distance_across, self.trajectory.frame_times)
 
     @cached_property
     def _distance_across(self) -> Array:

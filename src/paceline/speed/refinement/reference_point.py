@@ -42,9 +42,9 @@ def reference_point(image_variance: Array, residual_variance: Array) -> Referenc
     """The middle of the vehicle, from the variance of the images (columns,) and the part of it that the motion does not
     explain (columns,), in the columns of an outline from left to right."""
     unexplained = residual_variance / np.maximum(image_variance, 1e-9)
-    by_noise = MAX_COLUMN_UNEXPLAINED_RATIO * float(np.quantile(unexplained, 0.25))
+    by_noise = MAX_COLUMN_UNEXPLAINED_RATIO * float(np.quantile(unexplained, 0.25, method="lower"))
     moves = unexplained <= max(MAX_COLUMN_UNEXPLAINED_SHARE, by_noise)
-    is_larger = residual_variance > MIN_RESIDUAL_RATIO * np.quantile(residual_variance, 0.25)
+    is_larger = residual_variance > MIN_RESIDUAL_RATIO * np.quantile(residual_variance, 0.25, method="lower")
     is_plain = image_variance < MAX_PLAIN_RATIO * np.median(image_variance)
     other = ~moves & (is_larger | is_plain)
     columns = len(moves)
