@@ -50,7 +50,7 @@ MIN_UNEXPLAINED_PX = 0.3  # below, lenses of real cameras are no models, whateve
 MAX_SHIFT_SIGMA = 3.0
 MIN_ROTATION_LOG_ODDS = 3.0  # 20 to 1: of a rotation against a common change of the focal lengths
 MAX_CORRECTED_SPEED_SHARE = 0.2  # half a 95 % interval of a speed at VERDICT_DISTANCE_M, from the calibration alone
-PAN = 1  # the rotation about y
+PAN_AXIS = 1  # of a rotation vector: y
 ROTATION_STEP_RAD = 1e-6  # step of central differences
 PARAMETER_STEPS = np.array(
     [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, ROTATION_STEP_RAD, ROTATION_STEP_RAD, ROTATION_STEP_RAD, 1e-5, 1e-5, 1e-5]
@@ -181,7 +181,8 @@ def correct_rotation(rig: StereoRig, check: RigCheck) -> RotationCorrection:
         prior[8:11, 8:11] += knock_variance * np.eye(3)
     G = check.response
     S = G @ prior @ G.T + check.scene_covariance
-    excess = max(float(check.rotation[PAN] ** 2 - S[PAN, PAN]), 0.0) / max(float(check.keystone[PAN] ** 2), 1e-300)
+    excess_pan = max(float(check.rotation[PAN_AXIS] ** 2 - S[PAN_AXIS, PAN_AXIS]), 0.0)
+    excess = excess_pan / max(float(check.keystone[PAN_AXIS] ** 2), 1e-300)
     scene = check.scene_covariance + excess * np.outer(check.keystone, check.keystone)
     S += scene - check.scene_covariance
     gain = np.zeros((14, 3))

@@ -14,11 +14,10 @@ from paceline.commands.progress_output import progress_bar
 from paceline.commands.renamed_options import accepting
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
-from paceline.verdicts import message
+from paceline.verdicts import Message, message
 
 if TYPE_CHECKING:
     from paceline.calibration.rig_check import RigCheck, RotationCorrection
-    from paceline.verdicts import Message
 
 rig = typer.Typer(help="Rigs: import and check them.", rich_markup_mode=None)
 
