@@ -19,6 +19,9 @@ LOCK = uv pip compile pyproject.toml --universal --python-version 3.11 --fork-st
 # (Work stealing left three workers waiting for each other.)
 PYTEST = $(BIN)/python -m pytest -n auto --dist load
 
+# Without compiled modules beside the sources, which some environments ask for, every process compiles all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-all ready-for-tests lint results lock clean
 
 demo: $(VENV)/installed
@@ -70,6 +73,6 @@ $(VENV)/installed-for-tests: requirements-dev.txt $(VENV)/installed
 
 $(VENV)/compiled: $(VENV)/installed
 	@rm -rf $@; mkdir $@
-	@{ $(BIN)/paceline follow examples/chase -o $@/follow --quiet; \
-		$(BIN)/paceline vehicles examples/straight --quiet; } & \
-		$(BIN)/paceline speed examples/straight -o $@/speed --quiet; wait
+	@$(BIN)/paceline follow examples/chase -o $@/follow --quiet & \
+		{ $(BIN)/paceline speed examples/straight -o $@/speed --quiet; \
+		$(BIN)/paceline vehicles examples/straight --quiet; }; wait
