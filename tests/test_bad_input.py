@@ -382,7 +382,7 @@ def test_unspoilt_it_is_measured(original: Path, command: Command) -> None:
     assert status == 0 and "measured" in stdout
 
 
-@pytest.mark.parametrize("shape", ["line", "curve"])
+@pytest.mark.parametrize("shape", slow_after(1, ["line", "curve"]))
 def test_a_path_along_the_epipolar_lines_is_left_out(shape: str, clip: Clip, command: Command, tmp_path: Path) -> None:
     """A line that runs sideways through both pictures: the vehicle is measured without it, unless it is insisted on."""
     rig, x = load_rig(clip.folder / "rig.yaml"), np.linspace(100, 600, 12)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from selection import slow_after
 
 import paceline.baselines.registry  # noqa: F401  makes the baselines known
 from paceline.baselines.multimodal import Multimodal, Particles
@@ -111,13 +112,13 @@ def test_an_approaching_vehicle(clip: Clip, rendered: RenderedClip, method: str)
     assert np.linalg.norm(m.track.left.mean(1) - centres, axis=1).max() < 0.3 * np.ptp(m.track.left[0, :, 0])
 
 
-@pytest.mark.parametrize("method", ALL)
+@pytest.mark.parametrize("method", slow_after(2, reversed(ALL)))
 def test_a_crossing_vehicle_without_a_path(crossing: tuple[float, Clip], method: str) -> None:
     speed, clip = crossing
     assert_right(measured(clip, method), method, speed)
 
 
-@pytest.mark.parametrize("method", ["sift", "lucas-kanade"])
+@pytest.mark.parametrize("method", slow_after(1, ["lucas-kanade", "sift"]))
 def test_a_curve_is_measured_along_the_curve(curve: Clip, method: str) -> None:
     m = measured(curve, method)
     assert_right(m, method)
@@ -136,6 +137,7 @@ def test_the_same_seed_gives_the_same_result(clip: Clip) -> None:
     assert a == b != c
 
 
+@pytest.mark.slow
 def test_a_first_guess_helps_the_particles(clip: Clip) -> None:
     guessed = replace(clip, vehicles=[replace(clip.vehicles[0], speed=SPEED)])
     m = measured(guessed, "multimodal")
@@ -145,7 +147,7 @@ def test_a_first_guess_helps_the_particles(clip: Clip) -> None:
 # --- what recordings do ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ALL)
+@pytest.mark.parametrize("method", slow_after(2, ALL))
 def test_a_vehicle_that_leaves_the_image(leaving: Clip, method: str) -> None:
     m = measured(leaving, method)
     assert m.track.status[-1] in ("ended", "lost")
@@ -154,7 +156,7 @@ def test_a_vehicle_that_leaves_the_image(leaving: Clip, method: str) -> None:
         assert_right(m, method)
 
 
-@pytest.mark.parametrize("method", ALL)
+@pytest.mark.parametrize("method", slow_after(2, ALL))
 def test_a_vehicle_hidden_for_two_frames(rendered: RenderedClip, tmp_path: Path, method: str) -> None:
     def hide(view: int, frame: int, image: Image) -> Image:
         if frame in (4, 5):
@@ -171,14 +173,14 @@ def test_a_vehicle_hidden_for_two_frames(rendered: RenderedClip, tmp_path: Path,
         assert_right(m, method)
 
 
-@pytest.mark.parametrize("method", ALL)
+@pytest.mark.parametrize("method", slow_after(1, reversed(ALL)))
 def test_dropped_frames_are_longer_steps(gappy: Clip, method: str) -> None:
     m = measured(gappy, method)
     assert m.frames == 8
     assert_right(m, method)
 
 
-@pytest.mark.parametrize("method", ALL)
+@pytest.mark.parametrize("method", slow_after(2, reversed(ALL)))
 def test_a_vehicle_that_vanishes(rendered: RenderedClip, tmp_path: Path, method: str) -> None:
     clip = repainted(
         rendered, tmp_path, lambda view, frame, image: image if frame < 2 else np.full_like(image, 9 + view)
@@ -188,7 +190,7 @@ def test_a_vehicle_that_vanishes(rendered: RenderedClip, tmp_path: Path, method:
     assert m.reason.startswith(("too few frames", "interval too wide", "residuals"))
 
 
-@pytest.mark.parametrize("method", ALL)
+@pytest.mark.parametrize("method", slow_after(2, ALL))
 def test_without_texture_there_is_a_reason_and_no_fault(rendered: RenderedClip, tmp_path: Path, method: str) -> None:
     def blank(view: int, frame: int, image: Image) -> Image:
         outline = np.array(rendered.truth[frame]["right" if view else "left"])
@@ -211,7 +213,7 @@ def test_repeated_pictures_are_passed_over(rendered: RenderedClip, tmp_path: Pat
 # --- the outputs and what is refused ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["kalman", "lucas-kanade"])
+@pytest.mark.parametrize("method", slow_after(1, ["lucas-kanade", "kalman"]))
 def test_the_same_files_come_out(clip: Clip, tmp_path: Path, method: str) -> None:
     found = result(clip, method)
     write_report(found, open_recording(clip), tmp_path / "out")

@@ -204,6 +204,7 @@ def test_the_chase_vehicle_moves_where_it_heads_and_so_does_the_lead() -> None:
     assert 8.5 < distance.min() < distance.max() < 12.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", slow_after(1, ["nist", "hd"]))
 def test_vehicles_accelerate_as_vehicles_can(preset: str) -> None:
     for seed in range(4):
@@ -228,6 +229,7 @@ def test_road_and_things_lie_in_one_plan() -> None:
                 np.testing.assert_allclose(found, (distance, lateral), atol=0.03)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_clip_and_another_seed_another() -> None:
     a, b, c = (frames(random_chase(seed, frames=4)) for seed in (3, 3, 4))
     assert all(np.array_equal(x, y) for x, y in zip(a[0], b[0], strict=True))

@@ -232,6 +232,7 @@ def test_vehicles_in_both_directions_are_found_once_at_their_positions(search: S
     assert sorted(names) == ["v0", "v1"]
 
 
+@pytest.mark.slow
 def test_what_is_looked_for_is_a_setting(tmp_path: Path) -> None:
     """Vehicles that are too small in the images have no outline; there is none where nobody looks."""
     clip = load_clip(unclicked(two(), tmp_path))

@@ -31,7 +31,7 @@ MIRRORED_AT = 34.0 + 2.0 * np.arange(FRAMES)  # m along its way
 
 
 @pytest.mark.parametrize("seed", slow_after(1, [2, 3]))
-@pytest.mark.parametrize(("lane", "width"), [(-1.85, 0.8), (-3.0, 0.8), (-3.0, 1.8)])
+@pytest.mark.parametrize(("lane", "width"), slow_after(1, [(-3.0, 1.8), (-1.85, 0.8), (-3.0, 0.8)]))
 def test_face_is_located_though_the_vehicle_leaves_the_images(seed: int, lane: float, width: float) -> None:
     """It is seen best when the pictures cut it off already, and what they repeat beyond their edges agrees anywhere."""
     of = scene(Vehicle("v0", 16.0, start_distance=60.0, lane=lane, texture_seed=seed, width=width), frames=17)
@@ -164,7 +164,7 @@ def test_a_vehicle_that_another_one_hides_farther_away_is_outlined_as_it_was_nea
     assert found.vehicle is not None and found.vehicle.frame < 4 and width_of(found.vehicle) > 1.2
 
 
-@pytest.mark.parametrize("ahead", [-3.8, -3.4, 3.4, 3.8])
+@pytest.mark.parametrize("ahead", slow_after(2, [-3.4, 3.4, -3.8, 3.8]))
 def test_face_beyond_the_search_range_is_not_found(ahead: float) -> None:
     """It looks more and more like one towards the end of the search range."""
     assert find_face(with_visible_face(lamps_seen(25.0 + 2.5 * np.arange(6), ahead))) is None
@@ -195,7 +195,9 @@ def test_pictures_without_any_contrast_show_no_face() -> None:
     assert find_face(with_visible_face(track)) is None
 
 
-@pytest.mark.parametrize("odd", [{0, 1}, {FRAMES - 2, FRAMES - 1}, {0, 4, FRAMES - 1}, {0, 1, FRAMES - 1}])
+@pytest.mark.parametrize(
+    "odd", slow_after(2, [{0, 4, FRAMES - 1}, {0, 1}, {FRAMES - 2, FRAMES - 1}, {0, 1, FRAMES - 1}])
+)
 def test_similarity_is_to_the_median_image(odd: set[int]) -> None:
     """In the odd ones another thing, and more of it, was seen in its place."""
     own = face_with(texture_up_to(PLANE_GRID.top, 1), 1).aligned
@@ -215,7 +217,7 @@ def test_face_of_all_frames_is_preferred_to_a_larger_one_of_few(seed: int) -> No
     assert face is not None and len(face.aligned) == FRAMES
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", slow_after(1, [1, 2, 3]))
 @pytest.mark.parametrize("contrast", [2.0, 4.0])
 def test_face_is_found_below_changing_reflections(seed: int, contrast: float) -> None:
     """Where each frame has it is not known but by the face."""
@@ -226,7 +228,7 @@ def test_face_is_found_below_changing_reflections(seed: int, contrast: float) ->
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", slow_after(1, [1, 2, 3]))
 def test_partly_covered_face_is_less_similar(seed: int, side: int) -> None:
     """By a third at its side, in some of the frames, by something with as much contrast."""
     texture, covered = texture_up_to(PLANE_GRID.top, seed), 4

@@ -194,6 +194,7 @@ def test_plots_of_short_runs(status: str, count: int) -> None:
     assert all(p.png and "mathdefault" not in p.svg for p in plots)
 
 
+@pytest.mark.slow
 def test_plots_count_from_the_first_frame() -> None:
     """A device's clock counts from when the computer was switched on."""
     begun = 2.0**15  # s, so that nothing is rounded

@@ -168,6 +168,7 @@ def test_the_estimate_is_complete(clip):
     assert 0 <= estimate.residual < 0.8 and estimate.latency > 0 and estimate.reason == ""
 
 
+@pytest.mark.slow
 def test_a_lens_changes_nothing():
     images, positions = film(20, seed=4, camera=LENS, beside=1.8)
     estimates = follow(begin(positions[0], LENS), images)
@@ -194,6 +195,7 @@ def test_one_second_behind_another_vehicle_is_survived(clip):
     assert np.all(np.diff([e.position_std[2] for e in estimates[16:29]]) > 0)  # it knows less and less
 
 
+@pytest.mark.slow
 def test_a_target_of_which_the_image_shows_six_tenths_is_reacquired():
     rng, background = np.random.default_rng(5), scenery(5)
     aside = -2.2 - np.clip(0.085 * (np.arange(45) - 7), 0.0, 1.0)
@@ -434,6 +436,7 @@ def test_a_hands_error_is_in_the_interval_of_what_its_picture_tells(clip, monkey
     assert spread(False, 0.03) == pytest.approx(np.hypot(both, 0.03 * (both / RIGHT[2]) ** 2), rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_was_learned_long_ago_and_is_not_believed_changes_nothing(monkeypatch):
     """Another place is looked at and refused: what is learned is the place that is believed."""
     images, positions = film(40, seed=2)

@@ -256,6 +256,7 @@ def test_times_of_a_spoiled_recording_are_corrected(
     assert not [n for n in cameras.recording.notices if "dropped" in n]
 
 
+@pytest.mark.slow
 def test_a_fault_of_one_view_only_changes_no_time(clean: RenderedClip, tmp_path: Path) -> None:
     clip = spoiled(clean, tmp_path, [0, 1, 2, 3, 5, 4, 6, 7, 8, 9, 10], range(11))
     assert len(estimate_cameras(clip, open_recording(clip)).recording) == 11

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from run_command import paceline as paceline_command
 
 import paceline
 from paceline.documents.loading import load_clip
@@ -251,10 +252,11 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_readmes_session_is_what_the_command_prints(elsewhere: Path) -> None:
+@pytest.mark.usefixtures("elsewhere", "unrendered_plots")
+def test_the_readmes_session_is_what_the_command_prints() -> None:
     session = next(text for text in blocks("", README) if text.startswith("$ "))
     command, printed = session.removeprefix("$ .venv/bin/paceline ").split("\n", 1)
-    done = subprocess.run([sys.executable, "-m", "paceline", *command.split()], capture_output=True, text=True)
+    done = paceline_command(*command.split())
     assert done.returncode == 0, done.stderr
     assert done.stdout == printed
 

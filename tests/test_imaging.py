@@ -341,7 +341,7 @@ def test_a_late_right_view_is_found_and_does_not_bias_the_speed(late_clip):
     assert measurement.speed_lo < 15.0 < measurement.speed_hi
 
 
-@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("stated", slow_after(1, [True, False]))
 def test_a_time_between_the_views_that_time_stamps_tell_counts_once(late_clip, stated, tmp_path):
     """Where nothing more is stated a further offset may be; where it is none, the rig has nothing to explain."""
     stamps = np.arange(LATE_SCENE.frames) / LATE_SCENE.rate
@@ -372,6 +372,7 @@ def test_outlines_that_cannot_be_of_one_part_are_refused_once_the_offset_is_know
         measure_clip(replace(clip, vehicles=[vehicle]))
 
 
+@pytest.mark.slow
 def test_a_stated_offset_is_taken_as_stated(late_clip):
     clip = replace(load_clip(late_clip), offset=Quantity(0.012))
     result = measure_clip(clip)

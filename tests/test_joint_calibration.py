@@ -336,6 +336,7 @@ def test_a_rejected_vehicle_is_not_combined_and_stays_rejected(two: Clip) -> Non
         assert (m.speed, m.speed_lo, m.calibrated_by) == (right.speed, right.speed_lo, 2)
 
 
+@pytest.mark.slow
 def test_the_rig_information_belongs_to_the_reported_speed(tmp_path: Path) -> None:
     """With the rig exactly at the vehicle's own estimate, the speed stays and has the uncertainty of a known rig."""
     clip = load_clip(write(render(scene(TWO[0])), tmp_path))

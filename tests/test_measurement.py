@@ -316,6 +316,7 @@ def test_a_path_given_in_metres(command: Command, clip: Path, tmp_path: Path) ->
 # --- what is recorded ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_colour(command: Command, clip: Path, tmp_path: Path) -> None:
     answer = command(variant(clip, tmp_path / "c", lambda side: [np.dstack([i] * 3) for i in pictures(clip, side)]))
     assert_right(answer)
@@ -347,12 +348,14 @@ def test_video_by_its_own_time_stamps(command: Command, clip: Path, tmp_path: Pa
     assert "dropped" in answer.stderr
 
 
+@pytest.mark.slow
 def test_dropped_and_skewed_frames(command: Command, tmp_path: Path) -> None:
     answer = command(write(render(scene(dropped=(3, 4), skew_s=0.004)), tmp_path / "clip"))
     assert_right(answer)
     assert "dropped" in answer.stderr and "+4.0 ms" in answer.stderr
 
 
+@pytest.mark.slow
 def test_lenses_that_distort(command: Command, clip: Path, tmp_path: Path) -> None:
     """The pictures and all clicks as they would be through such a lens."""
     rig = yaml.safe_load((clip.parent / "rig.yaml").read_text())
@@ -495,6 +498,7 @@ def test_the_mean_speed_of_a_long_track_counts_to_its_last_frame(tmp_path: Path)
 # --- from Python ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_python_api_gives_the_same_result(command: Command, clip: Path, tmp_path: Path) -> None:
     document = paceline.load_clip(clip)
     progress: list[tuple[int, int]] = []

@@ -125,6 +125,7 @@ def test_another_scene_does_not_go_into_the_same_folder(written: Path, tmp_path:
         write_speed(speed(), tmp_path / "mine.txt")
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_is_never_visible_is_reported(tmp_path: Path) -> None:
     away = {"id": "v9", "start": 79.0, "speed": 1.0, "oncoming": True}
     with pytest.raises(UnusableInput, match="vehicle v9: is never wholly visible"):
@@ -132,6 +133,7 @@ def test_a_vehicle_that_is_never_visible_is_reported(tmp_path: Path) -> None:
     assert not (tmp_path / "clip").exists()
 
 
+@pytest.mark.slow
 def test_videos_keep_their_times(tmp_path: Path) -> None:
     scene = speed(sensor={"image_format": "h264", "color": True, "quality": 95}, dropped=[1], frames=4, skew=0.004)
     clip = load_clip(write_speed(scene, tmp_path / "clip"))
@@ -167,6 +169,7 @@ def test_cameras_that_are_not_ideal_look_beside_the_same_scene(written: Path, tm
     assert not (folder / "left").exists()
 
 
+@pytest.mark.slow
 def test_dropped_frames_and_skew_are_in_the_times(tmp_path: Path) -> None:
     occluder = {"id": "near", "kind": "bus", "start": 19.0, "speed": 0.0, "measured": False, "seed": 1}
     vehicles = [*tiny_speed()["vehicles"], occluder | {"lane": 1}]
@@ -185,6 +188,7 @@ def test_dropped_frames_and_skew_are_in_the_times(tmp_path: Path) -> None:
     assert clip.offset == Quantity(0.0) and "synchronised" not in (folder / "clip.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_a_clip_may_state_nothing_about_its_cameras(tmp_path: Path) -> None:
     clip = load_clip(
         stereo_clip.write(speed(frames=2), tmp_path / "clip", variant=PORTABLE_VARIANT, states_cameras=False)

@@ -64,7 +64,7 @@ def centroid(corners: Array) -> Array:
     return np.array([((x + u) * turn).sum(), ((y + v) * turn).sum()]) / (3 * turn.sum())
 
 
-@pytest.mark.parametrize("distance", slow_after(2, [4.0, 80.0, 25.0]))
+@pytest.mark.parametrize("distance", slow_after(1, [4.0, 80.0, 25.0]))
 @pytest.mark.parametrize(
     ("lens", "roll"),
     [(camera(160, 120, 220.0, 70.3, 66.8), 0.0), (camera(121, 143, 900.0, 61.7, 80.2), 0.3)],

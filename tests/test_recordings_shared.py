@@ -40,7 +40,7 @@ def test_a_physically_rendered_clip(name: str) -> None:
     np.testing.assert_allclose(m.track.position[:, 2], depth, rtol=0.02)
 
 
-@pytest.mark.parametrize("names", slow_after(1, [(("minivan",),), (tuple(CROSSING),)]), ids=len)
+@pytest.mark.parametrize("names", slow_after(0, [(("minivan",),), (tuple(CROSSING),)]), ids=len)
 def test_a_real_crossing(names: tuple[str, ...]) -> None:
     """Poles and signs pass before the cars, and light and shadow over them."""
     clip = load_clip(recording("kitti_crossing"))

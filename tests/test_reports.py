@@ -22,6 +22,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from selection import slow_after
 
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame
@@ -296,6 +297,7 @@ def test_page_is_complete_and_self_contained(out: Path) -> None:
     assert page.tags.count("img") == 3 * (3 * 2 + 3) + 1  # stills and plots of three vehicles, and the plan
 
 
+@pytest.mark.slow
 def test_page_tells_what_the_systematic_part_rests_on(result: ClipResult, tmp_path: Path) -> None:
     assumed = replace(measured("v0"), notices=[message("rig_uncertainty_missing", rig="rig.yaml")])
     for name, m, said in (
@@ -352,7 +354,7 @@ def browse(page: Path, folder: Path, width: int = 1280) -> tuple[str, Path, set[
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-@pytest.mark.parametrize("width", [1280, 820])
+@pytest.mark.parametrize("width", slow_after(1, [820, 1280]))
 def test_page_in_a_browser(out: Path, tmp_path: Path, width: int) -> None:
     """The page renders, shows its numbers and asks the network for nothing."""
     text, shot, asked = browse(out / "report.html", tmp_path, width)

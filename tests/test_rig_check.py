@@ -85,6 +85,7 @@ def test_a_rig_that_was_knocked_is_found_and_set_right(rig: StereoRig, degrees: 
         assert better.effects[1].along > 3 * rig_check.speed_effects(file)[1].along
 
 
+@pytest.mark.slow
 def test_the_turn_is_that_of_the_covariance(rig: StereoRig) -> None:
     z = []
     for seed in range(40):
@@ -221,6 +222,7 @@ def test_a_few_points_are_not_enough(rig: StereoRig) -> None:
 # --- on pictures ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_points_matched_in_the_example_lie_on_their_lines() -> None:
     clip = load_clip_recording(EXAMPLE / "clip.yaml")
     matches = match_scene(open_recording(clip))
@@ -267,6 +269,7 @@ def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path, monk
     assert notice.startswith(f"the rig's rotation was corrected by {better.scene_points} points of a scene")
 
 
+@pytest.mark.slow
 def test_the_command_does_not_correct_what_may_be_a_crop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Corrected, 45 and 38 mph were measured as 40.8 ± 0.1 and 34.5 ± 0.1."""
 
@@ -298,6 +301,7 @@ def test_wrong_options_are_one_plain_line(arguments: list[str], said: str) -> No
     assert said in done.stderr
 
 
+@pytest.mark.slow
 def test_the_shared_rendered_rig_has_not_moved() -> None:
     folder = SHARED / "rendered" / "straight"
     if not folder.exists():

@@ -105,7 +105,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("guess", slow_after(1, [0.85, 1.15]))
-@pytest.mark.parametrize(("kind", "speed", "seed"), slow_after(3, CASES))
+@pytest.mark.parametrize(("kind", "speed", "seed"), slow_after(2, CASES))
 def test_the_filter_converges_and_stays(kind: str, speed: float, seed: int, guess: float) -> None:
     s = scene(kind, speed, seed)
     estimates = track(s, guess, seed=seed)
@@ -113,7 +113,7 @@ def test_the_filter_converges_and_stays(kind: str, speed: float, seed: int, gues
     assert np.abs(errors(s, estimates)[CONVERGED:]).max() < 1.0
 
 
-@pytest.mark.parametrize("kind", ["line", "receding", "left"])
+@pytest.mark.parametrize("kind", slow_after(1, ["left", "line", "receding"]))
 def test_without_a_guess(kind: str) -> None:
     s = small(kind, 15.0, seed=2)
     estimates = track(s, None)
@@ -264,6 +264,7 @@ def test_free_motion_needs_no_path() -> None:
     assert np.abs(errors(s, estimates)[CONVERGED:]).max() < 3.0
 
 
+@pytest.mark.slow
 def test_a_bend_is_followed_without_a_path() -> None:
     """The vehicle turns by 4° from frame to frame."""
     s = replace(random_bend(102, 45.0, draw_path=False), frames=10)
