@@ -261,6 +261,24 @@ def test_what_a_lens_leaves_of_its_distortion_is_not_taken_for_a_turn(rig):
     assert abs(fit.offset.value - 0.004) < 4 * fit.offset.std
 
 
+def test_a_keystone_may_be_the_lenses_or_a_turn(rig):
+    """As both explain it, the disparity that a turn would change is uncertain by as much."""
+    stated = RigUncertainty(2.0, 2.0, (2e-4, 3e-4, 5e-4), (2e-4, 2e-4, 2e-4))
+    uncertain, apart = replace(rig, uncertainty=stated), np.array([[0.0, 0.0, 40.0]])
+    static, moving = moving_points(uncertain, 0.004, count=1000)
+    x, y = (2 * static.left / np.array([1024, 768]) - 1).T
+    wrong = replace(static, right=static.right + np.column_stack([0 * x, 1.5 * x * y]))
+
+    def disparity(of: StereoRig) -> float:
+        left, right = of.project(apart)
+        return float(left[0, 0] - right[0, 0])
+
+    fit = fit_epipolar_residuals(uncertain, wrong, moving, UNKNOWN_OFFSET, 0.017)
+    found = disparity(fit.rig)
+    changes = [disparity(perturbed_rig(fit.rig, change)) - found for change in fit.rig.uncertainty.covariance_root]
+    assert abs(found - disparity(rig)) < 2.0 * np.linalg.norm(changes)
+
+
 def residual_std(rig: StereoRig, matches: Matches) -> float:
     """RMS standard deviation (px) of the epipolar residuals by what is uncertain of the calibration."""
     at = epipolar_distance(rig, matches.left, matches.right)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import eval_legendre
 
 from paceline.arrays import Array
 from paceline.cameras import Quantity, StereoRig, perturbed_rig
@@ -31,11 +32,16 @@ COMMON_MOVING_RESIDUAL_PX = 0.03
 # included
 CALIBRATION_DOF = 4.0
 # Standard deviation (px) of each term of the epipolar residuals that a lens's distortion leaves which its calibration
-# does not describe, cubic over the picture: ordinary calibrations have residuals of 0.1 to 0.3 px
+# does not describe, cubic over the picture: ordinary calibrations have residuals of 0.1 to 0.3 px. Those that are not
+# linear, as what is linear and larger is the rig's, are Student's, too: boards seldom reach the corners, and a careful
+# calibration (KITTI's) is off there by 1.4 px in one of its terms.
 DISTORTION_RESIDUAL_PX = 0.15
-DISTORTION_DEGREE = 3
+DISTORTION_DEGREES = [(i, degree - i) for degree in range(4) for i in range(degree + 1)]  # in x and y
+LINEAR_TERMS = 3  # of degree 0 and 1, which are the first ones
+TILES = 8, 6  # parts of the picture within which what no model describes is alike
 RIG_STEP_SIGMA = 1e-2  # step of finite differences, in prior standard deviations
 RESIDUAL_FIT_STEPS = 30
+FREE_PRECISION, FREE_STEPS = 1e-2, 5  # of the prior of what explains first, and for how many steps
 MIN_STD_S = 1e-6  # of an offset or a readout that is exact
 OFFSET_STEP_S = 0.001  # between offsets that are tried before the fit
 OUTLIER_PX = 1.0  # epipolar residual of a match that is wrong
@@ -63,10 +69,10 @@ def fit_epipolar_residuals(
     """A robust fit (Tukey's weights) of the rig, the offset and the difference between the readouts, right minus left.
 
     The rig has its calibration's uncertainty as its prior, scaled as in Student's distribution where it is off by more;
-    what the lenses' distortion leaves is a nuisance beside it. The offset's prior is that which is ``expected``; the
-    readouts' difference is 0 with the standard deviation ``readout_difference_std`` (s). What moves along the epipolar
-    lines shows neither. As motion in the picture is not uniform, the fit is made once more with the left points moved
-    on to the right exposure.
+    what the lenses' distortion leaves is a nuisance beside it, of the same kind. The offset's prior is that which is
+    ``expected``; the readouts' difference is 0 with the standard deviation ``readout_difference_std`` (s). What moves
+    along the epipolar lines shows neither. As motion in the picture is not uniform, the fit is made once more with the
+    left points moved on to the right exposure.
     """
     fit = _fit_offset(rig, static, moving, expected, readout_difference_std)
     if fit.offset is None:
@@ -103,7 +109,9 @@ def _fit_offset(
     if is_moving:
         of_static = float(np.median(residual[: len(static.left)])) if len(static.left) else 0.0
         start[smooth] = _likely_offset(residual[len(static.left) :] - of_static, across[len(static.left) :], offset_std)
-    x, covariance, weights = _robust_fit(X, residual, prior, start, Q)
+    calibrated = [slice(0, Q), *(slice(k, k + 1) for k in range(Q + LINEAR_TERMS, smooth))]
+    tiles = _occupied_tiles(left, rig.left.image_size)
+    x, covariance, weights = _robust_fit(X, residual, prior, start, calibrated, tiles)
     shift = float(np.linalg.norm(x[:Q]))
     by_static = X[: len(static.left), :smooth]
     explained, spread = by_static @ x[:smooth], ((by_static @ covariance[:smooth, :smooth]) * by_static).sum(1)
@@ -125,11 +133,14 @@ def _fit_offset(
 
 
 def _cubic_terms(pixels: Array, image_size: tuple[int, int]) -> Array:
-    """Products of Legendre polynomials of up to `DISTORTION_DEGREE` (N, 10) at ``pixels`` (N, 2), over the picture."""
+    """Products of Legendre polynomials of `DISTORTION_DEGREES` (N, 10) at ``pixels`` (N, 2), over the picture."""
     x, y = (2 * pixels / np.array(image_size) - 1).T
-    powers = np.polynomial.legendre.legvander2d(x, y, [DISTORTION_DEGREE, DISTORTION_DEGREE])
-    degree = np.add.outer(np.arange(DISTORTION_DEGREE + 1), np.arange(DISTORTION_DEGREE + 1)).ravel()
-    return np.asarray(powers[:, degree <= DISTORTION_DEGREE])
+    return np.column_stack([eval_legendre(i, x) * eval_legendre(j, y) for i, j in DISTORTION_DEGREES])
+
+
+def _occupied_tiles(pixels: Array, image_size: tuple[int, int]) -> int:
+    """How many of the `TILES` of the picture hold some of the ``pixels`` (N, 2)."""
+    return len(np.unique(np.floor(pixels / np.array(image_size) * TILES), axis=0))
 
 
 def _likely_offset(residual: Array, across: Array, reach: float) -> float:
@@ -144,26 +155,75 @@ def _likely_offset(residual: Array, across: Array, reach: float) -> float:
     return float(offsets[np.argmin(misfit)])
 
 
-def _robust_fit(X: Array, residual: Array, prior: Array, start: Array, Q: int) -> tuple[Array, Array, Array]:
+def _robust_fit(
+    X: Array, residual: Array, prior: Array, start: Array, calibrated: list[slice], tiles: int
+) -> tuple[Array, Array, Array]:
     """The parameters x (n,) of ``residual`` (N,) px = X x under a ``prior`` information (n, n) about 0, their
     covariance (n, n), and the weights (N,), from a ``start`` (n,).
 
-    The prior of the first ``Q``, each of standard deviation 1, is Student's, with a common scale that is found by
-    expectation maximisation and is at least 1.
+    The priors of the groups of ``calibrated`` parameters, each of standard deviation 1, are Student's: the first one is
+    the rig's, the others are a lens's. So what is far off may be explained by either, and the posterior may have two
+    maxima. Both are found, and averaged by their evidence; in that the residuals of one of the ``tiles`` count once.
     """
-    x, normal = start, prior
-    weights, information = np.ones(len(X)), prior
-    for _ in range(RESIDUAL_FIT_STEPS if len(X) else 0):
+    rig, *lens = calibrated
+    maxima = [_local_fit(X, residual, prior, start, calibrated, first, tiles) for first in ([rig], lens)]
+    evidence = np.array([maximum.log_evidence for maximum in maxima])
+    share = np.exp(evidence - evidence.max())
+    share /= share.sum()
+    x = np.asarray(sum(p * maximum.x for p, maximum in zip(share, maxima, strict=True)))
+    covariance = np.zeros_like(prior)
+    for p, maximum in zip(share, maxima, strict=True):
+        covariance += p * (maximum.covariance + np.outer(maximum.x - x, maximum.x - x))
+    return x, covariance, maxima[int(np.argmax(share))].weights
+
+
+@dataclass(frozen=True, eq=False)
+class _Maximum:
+    """A local maximum of the posterior: the parameters x (n,), their covariance (n, n), the weights (N,) of the
+    residuals, and the logarithm of the evidence by Laplace's method, but for a constant."""
+
+    x: Array
+    covariance: Array
+    weights: Array
+    log_evidence: float
+
+
+def _local_fit(
+    X: Array,
+    residual: Array,
+    prior: Array,
+    start: Array,
+    calibrated: list[slice],
+    first: list[slice],
+    tiles: int,
+) -> _Maximum:
+    """The maximum that is reached where the groups ``first`` explain what they can.
+
+    The scales of Student's distributions are found by expectation maximisation and are at least 1.
+    """
+    x, information, weights, sigma = start, prior, np.ones(len(X)), MIN_MATCH_RESIDUAL_PX
+    scaled = prior.copy()
+    for group in first:
+        scaled[group, group] *= FREE_PRECISION
+    for step in range(RESIDUAL_FIT_STEPS if len(X) else 0):
         misfit = np.abs(residual - X @ x)
         sigma = max(1.4826 * float(np.median(misfit)), MIN_MATCH_RESIDUAL_PX)
         weights = tukey_weights(misfit, sigma)
         of_matches = (X.T * weights) / (CORRELATED_MATCHES * sigma**2)
-        information = of_matches @ X + prior
+        information = of_matches @ X + scaled
         x = np.asarray(np.linalg.solve(information, of_matches @ residual), float)
-        squares = float(x[:Q] @ x[:Q] + np.trace(np.linalg.inv(information)[:Q, :Q]))
-        prior = normal.copy()
-        prior[:Q, :Q] *= min((CALIBRATION_DOF + Q) / (CALIBRATION_DOF + squares), 1.0)
-    return x, np.asarray(np.linalg.inv(information)), weights
+        if step < FREE_STEPS:
+            continue
+        variances = np.diag(np.linalg.inv(information))
+        for group in calibrated:
+            count, squares = group.stop - group.start, float(x[group] @ x[group] + variances[group].sum())
+            precision = min((CALIBRATION_DOF + count) / (CALIBRATION_DOF + squares), 1.0)
+            scaled[group, group] = precision * prior[group, group]
+    log_evidence = -0.5 * float(np.linalg.slogdet(information)[1]) - tiles * float(np.log(sigma))
+    for group in calibrated:
+        count = group.stop - group.start
+        log_evidence -= 0.5 * (CALIBRATION_DOF + count) * float(np.log1p(x[group] @ x[group] / CALIBRATION_DOF))
+    return _Maximum(x, np.asarray(np.linalg.inv(information)), weights, log_evidence)
 
 
 def velocity_across(rig: StereoRig, left: Array, right: Array, velocity: Array) -> Array:
