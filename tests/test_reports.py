@@ -35,6 +35,7 @@ from paceline.reports.common.formatting import (
     speed_at,
 )
 from paceline.reports.common.video import VideoWriter
+from paceline.reports.speed.cameras import camera_rows
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.units import COVERAGE_95
 from paceline.verdicts import message
@@ -103,6 +104,15 @@ def rejected(vehicle: str) -> Measurement:
     )  # fmt: skip
 
 
+CAMERAS: dict[str, object] = {
+    "offset_s": {"value": 0.008, "std": 0.0005, "source": "estimated", "speed_effect": 0.002},
+    "left": {"readout_s": {"value": 0.0, "std": 0.005, "source": "assumed", "speed_effect": 0.001}, "sway_px_rms": 0.4},
+    "right": {"sway_px_rms": 0.0},
+    "epipolar_px": {"value": 0.3, "std": 0.05},
+    "assumed": ["rig"],
+}
+
+
 def clip_result() -> ClipResult:
     line = np.stack([np.linspace(-4, -3, 9), np.full(9, 1.6), np.linspace(70, 20, 9)], axis=1)
     pixels = np.stack([np.linspace(150, 20, 9), np.linspace(90, 190, 9)], axis=1)
@@ -115,6 +125,7 @@ def clip_result() -> ClipResult:
         versions={"paceline": "0.1.0"},
         notices=["frame 4 repeats frame 3"],
         seconds=2.5,
+        cameras=CAMERAS,
     )
 
 
@@ -291,10 +302,24 @@ def test_page_is_complete_and_self_contained(out: Path) -> None:
         assert part in text
     for part in ("How it was measured", "What the interval means", "noise.speed", "paceline 0.1.0", "Path lane0"):
         assert part in text
+    for cells in camera_rows(CAMERAS):
+        assert "".join(cells) in text
     local = {"overlay.mp4", "estimates.csv", "summary.json"}
     assert {a for a in page.addresses if not a.startswith("data:")} == local
     assert "script" not in page.tags
     assert page.tags.count("img") == 3 * (3 * 2 + 3) + 1  # stills and plots of three vehicles, and the plan
+
+
+def test_the_cameras_are_told_with_their_uncertainty_and_what_it_does_to_a_speed() -> None:
+    assert camera_rows(CAMERAS) == [
+        ("the right camera exposes later by", "8.00 ± 0.98 ms", "estimated", "0.39 %"),
+        ("the left camera reads its rows within", "0.00 ± 9.80 ms", "assumed", "0.20 %"),
+        ("the left camera turns, RMS", "0.40 px", "estimated", "–"),
+        ("the right camera turns, RMS", "0.00 px", "estimated", "–"),
+        ("static points are off their epipolar lines, RMS", "0.30 ± 0.10 px", "estimated", "–"),
+        ("the calibration’s uncertainty", "–", "assumed", "the systematic part of each speed"),
+    ]
+    assert camera_rows({}) == camera_rows({"epipolar_px": None, "assumed": []}) == []
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from paceline.reports.common.formatting import (
 )
 from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
+from paceline.reports.speed.cameras import camera_rows
 from paceline.reports.speed.overlay import StereoStill
 from paceline.speed.results import ClipResult, Measurement
 from paceline.units import convert
@@ -64,6 +65,7 @@ def write_page(
         plan=plan,
         overlay=overlay,
         paths=[(path.name, format_number(path_length(path.points), 1)) for path in result.paths],
+        cameras=camera_rows(result.cameras),
         settings=flatten_settings(result.configuration),
         seconds=format_number(result.seconds, 1),
         missing=NO_VALUE,
