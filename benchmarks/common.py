@@ -107,15 +107,15 @@ def rows_of(truth: Rows, vehicle: str) -> dict[int, dict[str, Any]]:
 
 
 def true_speeds(truth: Rows, m: Measurement) -> Array:
-    """True speeds (N,) m/s at the frames of a track."""
+    """True speeds (N,) m/s at the frames of a track, NaN at those of which no truth is stated."""
     rows = rows_of(truth, m.vehicle)
-    return np.array([rows[k]["speed_mps"] for k in m.track.frame.tolist()])
+    return np.array([rows[k]["speed_mps"] if k in rows else np.nan for k in m.track.frame.tolist()])
 
 
 def true_mean(truth: Rows, m: Measurement) -> float:
-    """The true mean speed over time, m/s, from the first to the last frame that was tracked."""
+    """The true mean speed over time, m/s, from the first to the last frame that was tracked and has a truth."""
     rows = rows_of(truth, m.vehicle)
-    tracked = [k for k, s in zip(m.track.frame.tolist(), m.track.status, strict=True) if s == "tracking"]
+    tracked = [k for k, s in zip(m.track.frame.tolist(), m.track.status, strict=True) if s == "tracking" and k in rows]
     t, v = (np.array([rows[k][name] for k in tracked]) for name in ("time_s", "speed_mps"))
     return float(np.trapezoid(v, t) / (t[-1] - t[0]))
 
