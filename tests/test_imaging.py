@@ -439,10 +439,17 @@ def test_swaying_cameras_are_steadied_and_results_are_where_they_were_recorded(l
     cameras = recorded_cameras.RecordedCameras(
         load_clip(late_clip), recording.corrected(0.0, vectors), rotations, EpipolarFit(recording.rig, 0.0, None, None)
     )
-    assert cameras.notices == []
+    assert [n.code for n in cameras.notices] == ["knock"] * 2
+    first, second = (float(recording.times[k]) for k in (3, 4))
+    for view, knock in zip(("left", "right"), cameras.summary()["knocks"], strict=True):
+        assert knock["view"] == view and first < knock["time_s"] < second
+        assert knock["px"] == pytest.approx(5e-4 * recording.rig.left.K[0, 0], rel=0.05)
     rotations.static_share[6:8, 0] = 0.0
-    assert [n.code for n in cameras.notices] == ["rotation_unknown"] and "left: " in cameras.notices[0]
+    cameras = replace(cameras)  # what was derived of the rotations is derived anew
+    assert [n.code for n in cameras.notices] == ["rotation_unknown", "knock", "knock"]
+    assert "left: " in cameras.notices[0]
     rotations.static_share[:8] = 0.0
+    cameras = replace(cameras)
     assert [n.code for n in cameras.notices] == ["cameras_travel"] * 2
     seen = recorded_cameras.RecordedCameras(
         load_clip(late_clip), recording.corrected(0.0, vectors), rotations, fit=None

@@ -338,6 +338,11 @@ _WARNING_ROWS = {
         "is taken not to turn",
         "Fix the cameras, or aim them so that more of what stands still is in the picture.",
     ),
+    "knock": (
+        "{view}: the camera was knocked at {time_s:.2f} s: its picture has been moved by {px:.1f} px since, which is "
+        "corrected for",
+        "Fix the cameras; `paceline rig check` says how they have moved against each other.",
+    ),
     "no_common_clock": (
         "no common clock: frames that come together are taken as exposed together",
         _SYNCHRONISE_ADVICE,

@@ -7,6 +7,7 @@ not turn, each at its time. What remains uncertain, the refinement estimates fur
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
 from paceline.imaging.feature_matches import match_views, velocity_step
 from paceline.imaging.frame_lag import estimate_lag
 from paceline.imaging.frame_times import FrameTimes, estimate_frame_times
+from paceline.imaging.lasting_turns import LastingTurn, lasting_turn
 from paceline.imaging.outline_motion import displacement_between_exposures, followed, motion_by_depth
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording, counted_frames
@@ -75,8 +77,31 @@ class RecordedCameras:
             notices.append(message("views_not_simultaneous", offset_ms=1e3 * offset.value, std_ms=1e3 * offset.std))
         return notices
 
+    @cached_property
+    def _lasting_turns(self) -> list[tuple[LastingTurn, float]]:
+        """What lasts of each view's rotations, as far as they are known, and when (s) it was knocked."""
+        if self.recording.rotations is None:
+            return [(LastingTurn(), np.nan)] * 2
+        times = self.recording.times if self.frame_times is None else self.frame_times.times
+        turns = []
+        for side, camera in enumerate(self.clip.rig.cameras):
+            order = np.argsort(times, kind="stable")
+            order = order[self.rotations.is_known[order, side]]
+            turn = lasting_turn(times[order], camera.K[0, 0] * self.rotations.vectors[order, side, :2])
+            turns.append((turn, float(times[order][max(turn.knocked, 0) :][:2].mean())))
+        return turns
+
+    @property
+    def _knocks(self) -> list[dict[str, Any]]:
+        """The lasting changes of pose in mid-recording, as in summary.json."""
+        return [
+            {"time_s": time, "view": view, "px": turn.knock_px}
+            for view, (turn, time) in zip(VIEW_NAMES, self._lasting_turns, strict=True)
+            if turn.knock_px
+        ]
+
     def _rotation_notices(self) -> list[Message]:
-        """What of the rotations is not known, and so not corrected."""
+        """What of the rotations is not known, and so not corrected, and what of them lasts."""
         known, turning = self.rotations.is_known, self.recording.rotations
         frames, notices = len(known), []
         for side, (view, count) in enumerate(zip(VIEW_NAMES, known.sum(axis=0).tolist(), strict=True)):
@@ -84,7 +109,7 @@ class RecordedCameras:
                 notices.append(message("cameras_travel", view=view, known=count, frames=frames))
             elif turning is not None and turning[:, side].any() and count < frames:
                 notices.append(message("rotation_unknown", view=view, unknown=frames - count, frames=frames))
-        return notices
+        return [*notices, *(message("knock", view=k["view"], time_s=k["time_s"], px=k["px"]) for k in self._knocks)]
 
     def _time_notices(self) -> list[Message]:
         """What is wrong with the frames' times and order."""
@@ -110,9 +135,11 @@ class RecordedCameras:
         views = {}
         for side, (name, camera) in enumerate(zip(VIEW_NAMES, rig.cameras, strict=True)):
             moved = np.zeros((1, 2)) if rotations is None else rotations[:, side, :2] * camera.K[0, 0]
-            views[name] = {"sway_px_rms": float(np.sqrt((moved**2).sum(-1).mean()))}
+            sway, drift = float(np.sqrt((moved**2).sum(-1).mean())), self._lasting_turns[side][0].drift_px_per_min
+            views[name] = {"sway_px_rms": sway, "drift_px_per_min": drift}
         return {
             **views,
+            "knocks": self._knocks,
             "epipolar_px": None if epipolar is None else {"value": epipolar.value, "std": epipolar.std},
             "assumed": ["rig"] if rig.uncertainty is not None and rig.uncertainty.is_assumed else [],
         }

@@ -22,6 +22,11 @@ def camera_rows(cameras: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
             rows.append(_row(f"the {view} camera reads its rows within", readout, 1e3, "ms"))
         if (sway := of_view.get("sway_px_rms")) is not None:
             rows.append((f"the {view} camera turns, RMS", f"{format_number(sway, 2)} px", "estimated", NO_VALUE))
+        if drift := of_view.get("drift_px_per_min"):
+            rows.append((f"the {view} camera drifts", f"{format_number(drift, 1)} px/min", "estimated", NO_VALUE))
+    for knock in cameras.get("knocks", []):
+        what = f"the {knock['view']} camera was knocked at {format_number(knock['time_s'], 2)} s"
+        rows.append((what, f"{format_number(knock['px'], 2)} px", "estimated", NO_VALUE))
     if epipolar := cameras.get("epipolar_px"):
         what = "static points are off their epipolar lines, RMS"
         rows.append(_row(what, {**epipolar, "source": "estimated"}, 1.0, "px"))
