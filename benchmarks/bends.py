@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from baselines import Outcome, compare_methods, measured, outcome_cell
-from common import PLAIN_RIG, Rows, head, machine, raytraced, rendered, rms, row, share_out
+from common import PLAIN_RIG, Rows, head, machine, raytraced, rendered, rms, row, share_out, suitable
 
 from paceline.documents.loading import Clip, VehicleDocument
 from paceline.simulation.random_scenes.drawn import random_bend, random_scene
@@ -55,7 +55,8 @@ class Compared:
 def drawn_scene(case: Case) -> Scene:
     if case.radius == STRAIGHT:
         steady = {"acceleration": 0.0, "glare": False}
-        return random_scene(case.seed, vehicle=steady, radius=None, rate=case.rate, occluder=False, **PLAIN_RIG)
+        road = {"radius": None, "rate": case.rate, "occluder": False, **PLAIN_RIG}
+        return suitable(lambda seed: random_scene(seed, vehicle=steady, **road), case.seed)
     return random_bend(case.seed, case.radius, case.rate)
 
 

@@ -11,18 +11,18 @@ draws all of its errors at once instead, those of the calibration as well.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from accuracy import off
 from baselines import Outcome, compare_methods, measured, outcome_cell
 from bends import METHODS
-from common import PLAIN_RIG, Rows, head, machine, raytraced, rendered, rms, row, share_out, why_not
+from common import PLAIN_RIG, Rows, head, machine, raytraced, rendered, rms, row, share_out, suitable, why_not
 
 from paceline import UnusableInput
 from paceline.documents.loading import Clip
@@ -32,11 +32,8 @@ from paceline.simulation.random_scenes.raytraced import random_raytraced_bend, r
 from paceline.simulation.raytraced.scene_yaml import SpeedScene, StereoErrorsModel
 from paceline.simulation.stereo.clip import Scene, World
 
-Made = TypeVar("Made")
-
 ROADS = "straight", "bend"
 RATES_HZ = 5.0, 10.0  # frames/s, of even and of odd seeds
-SEED_STEP, SEED_TRIES = 10_000, 50  # to the seed that is tried next where no scene suits, and how often
 RANDOM_ERRORS = "random errors"
 
 # of random errors
@@ -117,16 +114,6 @@ def errors_of(case: Case, frames: int) -> StereoErrors:
         return random_errors(case.seed, case.rate)
     errors = IMPERFECTIONS[case.imperfection]
     return replace(errors, right=replace(errors.right, knock_frame=frames // 2)) if any(errors.right.knock) else errors
-
-
-def suitable(make: Callable[[int], Made], seed: int) -> Made:
-    """A scene of ``seed``, or of the first one after it that suits."""
-    for k in range(SEED_TRIES):
-        try:
-            return make(seed + k * SEED_STEP)
-        except (ValueError, UnusableInput):
-            continue
-    raise ValueError(f"no scene for seed {seed}")
 
 
 def drawn_scene(case: Case) -> Scene:

@@ -33,11 +33,13 @@ Array = NDArray[np.float64]
 Rows = list[dict[str, Any]]
 Item = TypeVar("Item")
 Done = TypeVar("Done")
+Made = TypeVar("Made")
 
 MPH = SpeedUnit.MPH.mps
 SHARED = Path(__file__).parents[2] / "shared" / "data"  # recordings that are not part of the project
 PLAIN_RIG: dict[str, Any] = {"image_size": (1024, 768), "focal": 2200.0, "baseline": 0.5}
 PLAIN_TRIES = 300
+SEED_STEP, SEED_TRIES = 10_000, 50  # to the seed that is tried next where no scene suits, and how often
 
 
 def plain_scene(seed: int, **overrides: Any) -> Scene:
@@ -99,6 +101,16 @@ def why_not(error: Exception) -> str:
     if isinstance(error, UnusableInput):
         return f"unusable: {str(error).partition(': ')[2]}"
     return f"fault of the program: {type(error).__name__}: {error}"
+
+
+def suitable(make: Callable[[int], Made], seed: int) -> Made:
+    """A scene of ``seed``, or of the first one after it that suits."""
+    for k in range(SEED_TRIES):
+        try:
+            return make(seed + k * SEED_STEP)
+        except (ValueError, UnusableInput):
+            continue
+    raise ValueError(f"no scene for seed {seed}")
 
 
 def rows_of(truth: Rows, vehicle: str) -> dict[int, dict[str, Any]]:
