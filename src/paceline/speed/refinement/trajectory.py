@@ -276,6 +276,25 @@ class Trajectory:
             return shear @ H, shear @ H_d
         return np.asarray(H), H_d
 
+    def projections(self, theta: Array) -> Array:
+        """Matrices (…, F, 2, 3, 4) by which both views show a point that moves with the vehicle, given in the world's
+        axes as it is at time 0, at every frame by ``theta`` (…, n)."""
+        R, t, _, _ = self.motion(theta)
+        K = np.stack([self.rig.left.K, self.rig.right.K])
+        if self.readouts.any():
+            K = self.timing.shear(self.readouts) @ K
+        R_view = np.stack([np.eye(3), self.rig.R])
+        t_view = np.stack([np.zeros(3), self.rig.t])
+        shift = (R_view @ t[..., None])[..., 0] + t_view
+        return np.asarray(K @ np.concatenate([R_view @ R, shift[..., None]], axis=-1))
+
+    def places(self, theta: Array, square: Array) -> Array:
+        """World points (N, 3) at time 0 of ``square`` (N, 2), points of the unit square of the region, by ``theta``
+        (n,)."""
+        _, _, n, d = self.motion(theta)
+        rays = np.c_[square, np.ones(len(square))] @ (self.rig.left.K_inv @ self._outline_homography).T
+        return np.asarray(rays * (d / (rays @ n))[:, None])
+
     def quads(self, theta: Array) -> Array:
         """The region's corners (…, F, 2, 4, 2) px in both views at every frame by ``theta`` (…, n)."""
         return corners_of(self.homographies(theta)[0])
