@@ -180,7 +180,8 @@ def test_summary_is_exact(out: Path) -> None:
     assert first == {
         "vehicle": "v0", "speed_mps": 20.1, "speed_lo_mps": 20.0, "speed_hi_mps": 20.2, "frames": 10,
         "verdict": "measured", "reason": "", "reason_code": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04,
-        "calibrated_by": 0, "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2, "notices": [],
+        "calibrated_by": 0, "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2,
+        "corners_difference_mps": None, "corners_difference_std_mps": None, "notices": [],
     }  # fmt: skip
     assert last["verdict"] == "rejected" and last["reason"].startswith("too few frames")
     assert last["reason_code"] == "seen_briefly"

@@ -32,6 +32,7 @@ BEGINNINGS = {
     "speed_implausible": "implausible",
     "motion_implausible": "implausible",
     "time_unclear": "time",
+    "methods_disagree": "estimates disagree",
     "path_deviation_implausible": "implausible",
     "outline_inconsistent": "outline",
     "appearance_lost_from_start": "unlike itself",

@@ -145,6 +145,12 @@ _REJECTION_ROWS = {
         "Check that no pictures are missing, repeated or out of order and that the time stamps are right, and look in "
         "the overlay whether the outline stays on the vehicle.",
     ),
+    "methods_disagree": (
+        "estimates disagree: tracked corners move with {corners_mps:.2f} m/s and the grey values of the whole outline "
+        "with {grey_values_mps:.2f}, {difference_mps:.2f} m/s apart (limit {max_difference_mps:.2f})",
+        "Look in the overlay whether the outline holds one vehicle and nothing else, and for reflections that move "
+        "over it; outline another part of it.",
+    ),
     "path_deviation_implausible": (
         "implausible: the track deviates from the path by {deviation:.1f} σ of ordinary driving (limit "
         "{max_deviation:g}), on a region with a contrast of {contrast:.1f} grey levels (at least {min_contrast:g} "

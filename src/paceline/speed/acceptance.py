@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from paceline.speed.configuration import DEFAULT_LIMITS, Limits
 from paceline.speed.refinement.model_selection import RefinedMotion
+from paceline.speed.refinement.point_fit import SecondEstimate
 from paceline.speed.results import Measurement
 from paceline.verdicts import NO_REASON, Message, message
 
@@ -18,13 +20,14 @@ MIN_TRACK_CONTRAST_GREY = 5.0  # grey levels; below, the background may have bee
 
 FULL_BRAKING_MPS2, FULL_THROTTLE_MPS2 = 9.0, 6.0  # at the limits of tyres and engines
 FULL_TURNING_MPS2 = 9.81  # sideways, with a friction coefficient of 1
+MAX_DISAGREEMENT_CHANCE = 0.005  # probability that both estimates of a right speed differ by more than is accepted
 CERTAINTY_SIGMA = 1.645  # standard deviations beyond a limit at which it is exceeded with a probability of 95 %
 
 
 def check_refined(refined: RefinedMotion, speed: float, half_width: float, limits: Limits = DEFAULT_LIMITS) -> Message:
     """The reason to reject ``speed`` (m/s) with its half-width ``half_width``; empty where all tests pass.
 
-    `check_outline` and `check_interval` are applied apart.
+    `check_outline`, `check_second_estimate` and `check_interval` are applied apart.
     """
     if not np.isfinite([speed, half_width]).all():
         return message("no_motion_fits", test="the fitted speed is not a finite number")
@@ -81,6 +84,22 @@ def check_motion(refined: RefinedMotion) -> Message:
                 "motion_implausible", motion=motion, acceleration=value[frame], std=std[frame], max_acceleration=limit
             )
     return NO_REASON
+
+
+def check_second_estimate(refined: RefinedMotion, second: SecondEstimate, half_width: float) -> Message:
+    """The reason to reject a speed with its half-width ``half_width`` (m/s) from which the ``second`` estimate differs
+    by more than that, and by more than both covariances allow; else empty."""
+    chance = 1.0 - MAX_DISAGREEMENT_CHANCE / 2
+    limit = max(half_width, float(stdtrit(refined.dof, chance)) * second.difference_std)
+    if not abs(second.difference) > limit:
+        return NO_REASON
+    return message(
+        "methods_disagree",
+        corners_mps=second.speed,
+        grey_values_mps=second.speed - second.difference,
+        difference_mps=abs(second.difference),
+        max_difference_mps=limit,
+    )
 
 
 def consistent_frames(refined: RefinedMotion, limits: Limits = DEFAULT_LIMITS) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ CONFIDENCE_LEVEL = 0.95  # confidence level of all intervals
 SUMMARY_COLUMNS = (
     "vehicle", "speed_mps", "speed_lo_mps", "speed_hi_mps", "frames", "verdict", "reason", "reason_code",
     "random_std_mps", "systematic_std_mps", "calibrated_by", "model", "acceleration_mps2", "residual_rms",
+    "corners_difference_mps", "corners_difference_std_mps",
 )  # fmt: skip
 
 
@@ -98,6 +99,9 @@ class Measurement:
     model: str  # e.g. "constant speed", "constant acceleration", "filter" without refinement
     acceleration: float = float("nan")  # m/s², NaN for a constant-speed model
     residual_rms: float = float("nan")  # grey levels of 255, of the refined fit
+    # m/s, how far from the refined speed that by tracked corners is, and its standard deviation; NaN without such
+    corners_difference: float = float("nan")
+    corners_difference_std: float = float("nan")
     notices: list[str] = field(default_factory=list)
     calibrated_by: int = 0  # vehicles whose images have corrected the calibration of rig.yaml
     rig_information: RigInformation | None = None  # for joint calibration, None where that is done or impossible
@@ -120,6 +124,8 @@ class Measurement:
             "model": self.model,
             "acceleration_mps2": self.acceleration,
             "residual_rms": self.residual_rms,
+            "corners_difference_mps": self.corners_difference,
+            "corners_difference_std_mps": self.corners_difference_std,
             "notices": self.notices,
         }
 

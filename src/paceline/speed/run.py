@@ -25,6 +25,7 @@ from paceline.speed.methods import OnEstimate
 from paceline.speed.refinement.keyframes import Keyframe, exposures
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
 from paceline.speed.refinement.path_deviation import deviation_of, heading_innovation
+from paceline.speed.refinement.point_fit import second_estimate
 from paceline.speed.refinement.self_calibration import RigEstimate
 from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Synchronisation, Track
@@ -209,6 +210,9 @@ class VehicleMeasurement:
             or acceptance.check_outline(refined, self.vehicle.right, self.configuration.click_sigma, self.limits)
             or acceptance.check_motion(refined)
         )
+        second = None if reason else second_estimate(refined, self.keyframes)
+        if second is not None:
+            reason = acceptance.check_second_estimate(refined, second, half_width)
         fit = refined.rig_estimate
         rig_information = None if reason or fit is None else self._rig_information(refined, fit, student)
         reason = reason or acceptance.check_interval(speed, half_width, random, self.limits)
@@ -234,6 +238,8 @@ class VehicleMeasurement:
             model=model,
             acceleration=acceleration if accelerating else float("nan"),
             residual_rms=refined.residual_rms,
+            corners_difference=float("nan") if second is None else second.difference,
+            corners_difference_std=float("nan") if second is None else second.difference_std,
             notices=self._notices(refined),
             calibrated_by=int(fit is not None),
             rig_information=rig_information,

@@ -1,0 +1,156 @@
+"""The second estimate of a speed: windows registered, the motion fitted to corners, and when it contradicts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
+from paceline.speed.acceptance import MAX_DISAGREEMENT_CHANCE, check_second_estimate
+from paceline.speed.measurement import measure_clip
+from paceline.speed.refinement.corner_tracks import CornerTracks, _Windows
+from paceline.speed.refinement.keyframes import Keyframe
+from paceline.speed.refinement.model_selection import RefinedMotion
+from paceline.speed.refinement.point_fit import PointFit, SecondEstimate, second_estimate
+from paceline.speed.results import Measurement
+from paceline.speed.run import VehicleMeasurement
+
+Array = NDArray[np.float64]
+SPEED = 14.0  # m/s
+SCENE = Scene(
+    5,
+    (Vehicle("v0", SPEED, start_distance=48.0, texture_seed=3),),
+    image_size=(640, 480),
+    focal=1400.0,
+    rate=5.0,
+    frames=10,
+)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[RefinedMotion, list[Keyframe], Measurement]:
+    """A refined motion, what it was fitted to, and the measurement of its clip."""
+    kept: dict[str, Any] = {}
+    measure = VehicleMeasurement._measured
+
+    def keep(run: VehicleMeasurement, refined: RefinedMotion, frames: int) -> Measurement:
+        kept.update(refined=refined, keyframes=run.keyframes)
+        return measure(run, refined, frames)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(VehicleMeasurement, "_measured", keep)
+        (m,) = measure_clip(write(render(SCENE), tmp_path_factory.mktemp("clip"))).measurements
+    return kept["refined"], kept["keyframes"], m
+
+
+def test_a_place_on_the_plane_is_seen_where_the_homographies_put_it(measured: Any) -> None:
+    refined, _, _ = measured
+    square = np.random.default_rng(0).uniform(0.0, 1.0, (7, 2))
+    trajectory = replace(refined.trajectory, readouts=np.array([0.02, -0.01]))
+    places = trajectory.places(refined.theta, square)
+    seen = trajectory.projections(refined.theta) @ np.c_[places, np.ones(7)].T
+    expected = trajectory.homographies(refined.theta)[0] @ np.c_[square, np.ones(7)].T
+    for rays in (seen, expected):
+        rays /= rays[..., 2:, :].copy()
+    assert seen == pytest.approx(expected, abs=1e-6)
+
+
+def pattern(x: Array, y: Array, blur: float) -> NDArray[np.float32]:
+    """Grey values of a sum of waves, blurred by a Gaussian of ``blur`` px, which is exact for waves."""
+    rng = np.random.default_rng(4)
+    value = np.full(x.shape, 120.0)
+    for kx, ky, phase in zip(*rng.uniform(-0.9, 0.9, (2, 12)), rng.uniform(0, 7, 12), strict=True):
+        value += 12.0 * np.exp(-0.5 * blur**2 * (kx**2 + ky**2)) * np.sin(kx * x + ky * y + phase)
+    return np.asarray(value, np.float32)
+
+
+def test_a_window_is_registered_in_an_image_of_other_contrast_and_sharpness() -> None:
+    x, y = np.meshgrid(np.arange(60.0), np.arange(50.0))
+    template = pattern(x, y, 0.8)
+    corners = np.array([[20.0, 18.0], [31.0, 25.0], [40.0, 30.0]])
+    dx, dy = 0.37, -0.23
+    image = np.asarray(0.8 * pattern(x - dx, y - dy, 1.0) + 15.0, np.float32)
+    windows = _Windows(template, corners)
+    found = windows.registered(image, windows.registered(image, corners))
+    assert found - corners == pytest.approx(np.tile([dx, dy], (3, 1)), abs=0.02)
+
+
+def tracks_of(refined: RefinedMotion, speed: float, others: int, noise: float) -> CornerTracks:
+    """Tracks of 30 points of a vehicle that drives straight along its path, and of ``others`` that stand still."""
+    rng = np.random.default_rng(8)
+    trajectory, count = refined.trajectory, 30 + others
+    square = rng.uniform(0.1, 0.9, (count, 2))
+    _, _, normal, _ = trajectory.motion(refined.theta)
+    places = trajectory.places(refined.theta, square) + rng.normal(0, 0.1, (count, 1)) * normal
+    travel = trajectory.path.direction_near(places[0])
+    velocity = speed * travel * (np.arange(count) < 30)[:, None]
+    pixels = np.empty((count, 2 * len(trajectory.times), 2))
+    for frame, times in enumerate(trajectory.times):
+        for side in (0, 1):
+            pixels[:, 2 * frame + side] = trajectory.rig.project(places + velocity * times[side])[side]
+    pixels += rng.normal(0, noise, pixels.shape)
+    identity = np.tile(np.eye(3), (*pixels.shape[:2], 1, 1))
+    return CornerTracks(square, pixels, identity, np.ones(pixels.shape[:2]))
+
+
+@pytest.mark.parametrize("others", [0, 8])
+def test_the_speed_is_that_of_the_points_wherever_the_photometric_fit_is(measured: Any, others: int) -> None:
+    refined, _, _ = measured
+    for factor in (0.97, 1.0, 1.03):
+        speed = factor * SPEED
+        theta, covariance = PointFit(refined, tracks_of(refined, speed, others, 0.05)).solution()
+        gradient = refined.trajectory.mean_speed_gradient
+        std = float(np.sqrt(gradient @ covariance @ gradient))
+        assert std < 0.01 * SPEED
+        assert abs(float(gradient @ theta) - speed) < 4 * std + 1e-3 * SPEED
+
+
+def moved(refined: RefinedMotion, share: float) -> RefinedMotion:
+    """``refined`` with another mean speed, and all parameters as the images change least by it."""
+    gradient = refined.trajectory.mean_speed_gradient
+    direction = refined.covariance @ gradient
+    change = share * float(gradient @ refined.theta) / float(gradient @ direction)
+    return replace(refined, theta=refined.theta + change * direction)
+
+
+def test_a_wrong_speed_is_contradicted_and_a_right_one_is_not(measured: Any) -> None:
+    refined, keyframes, m = measured
+    half = (m.speed_hi - m.speed_lo) / 2
+    assert m.verdict == "measured" and np.isfinite([m.corners_difference, m.corners_difference_std]).all()
+    speeds = []
+    for share, code in ((0.0, ""), (0.04, "methods_disagree"), (-0.04, "methods_disagree")):
+        wrong = moved(refined, share)
+        second = second_estimate(wrong, keyframes)
+        assert second is not None and check_second_estimate(wrong, second, half).code == code
+        speeds.append(second.speed)
+    assert speeds == pytest.approx([SPEED] * 3, rel=0.005)
+
+
+def test_a_view_that_does_not_show_the_vehicle_is_left_out(measured: Any) -> None:
+    refined, keyframes, m = measured
+    empty = np.zeros((0, 5), np.float32)
+    last = replace(keyframes[-1], crops=(empty, empty))
+    second = second_estimate(refined, [*keyframes[:-1], last])
+    assert second is not None and second.speed == pytest.approx(SPEED, rel=0.01)
+
+
+def test_nothing_is_said_where_no_corners_are_tracked(measured: Any) -> None:
+    refined, keyframes, _ = measured
+    plain = [replace(k, crops=tuple(np.full_like(crop, 90.0) for crop in k.crops)) for k in keyframes]
+    assert second_estimate(refined, plain) is None
+
+
+def test_a_difference_counts_beyond_the_interval_and_both_covariances() -> None:
+    refined = cast(RefinedMotion, type("Fit", (), {"dof": 9.0}))
+    by_covariances = float(student.ppf(1 - MAX_DISAGREEMENT_CHANCE / 2, 9.0)) * 0.1
+
+    def code(difference: float, half_width: float) -> str:
+        return check_second_estimate(refined, SecondEstimate(20.0, difference, 0.1), half_width).code
+
+    assert code(1.01 * by_covariances, 0.2) == code(-1.01 * by_covariances, 0.2) == "methods_disagree"
+    assert code(0.99 * by_covariances, 0.2) == code(1.01 * by_covariances, 0.5) == code(float("nan"), 0.2) == ""
