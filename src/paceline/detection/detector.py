@@ -63,7 +63,7 @@ class Detection:
 
     It stands on the plane at arc length ``s`` of ``lane``, between ``x`` and ``y``, each (2,) m; ``area`` m² of it are
     consistent, with an ``upright_ratio`` (see `photo_consistency.upright_ratio`). ``crops`` of both views and of their
-    ``background`` begin at the pixels ``crop_origins`` (2, 2).
+    ``background`` begin at the pixels ``crop_origins`` (2, 2); ``noise`` is their standard deviation, grey levels.
     """
 
     frame: int
@@ -77,6 +77,7 @@ class Detection:
     crops: tuple[Image, Image]
     background: tuple[Bytes, Bytes]
     crop_origins: Array
+    noise: float = 1.0
 
     @property
     def position(self) -> Array:
@@ -102,16 +103,22 @@ class Detection:
 
     def warp(self, s: float, grid: PlaneGrid, origin: Array) -> tuple[Image, Image]:
         """Both crops warped to the plane at ``s``, on ``grid`` moved to ``origin`` (2,) m."""
-        return self._warp(self._pyramids, s, grid, origin)
+        return self._warp(self._pyramids, self.lane.homographies(s), grid, origin)
+
+    def warp_on_road(self, s: float, grid: PlaneGrid, origin: Array) -> Image:
+        """As `warp`, of the right view only, where what the left one shows there lies on the road."""
+        return self._warp(self._pyramids, on_road(self.lane, s), grid, origin)[1]
 
     def warp_background(self, s: float, grid: PlaneGrid, origin: Array) -> tuple[Image, Image]:
         """As `warp`, of the background."""
-        return self._warp(self._background_pyramids, s, grid, origin)
+        return self._warp(self._background_pyramids, self.lane.homographies(s), grid, origin)
 
-    def _warp(self, views: list[list[Image]], s: float, grid: PlaneGrid, origin: Array) -> tuple[Image, Image]:
+    def _warp(
+        self, views: list[list[Image]], homographies: tuple[Array, Array], grid: PlaneGrid, origin: Array
+    ) -> tuple[Image, Image]:
         move = np.array([[1, 0, origin[0]], [0, 1, origin[1]], [0, 0, 1.0]])
         images = []
-        for levels, corner, H in zip(views, self.crop_origins, self.lane.homographies(s), strict=True):
+        for levels, corner, H in zip(views, self.crop_origins, homographies, strict=True):
             to_crop = np.array([[1, 0, -corner[0]], [0, 1, -corner[1]], [0, 0, 1.0]])
             images.append(warp_to_plane(levels, to_crop @ H @ move, grid))
         return images[0], images[1]
@@ -138,7 +145,7 @@ class PlaneSweepDetector:
         top, coarse = self.rows.start, self._planes[::COARSE_STRIDE]
         self._fine = [plane_at(lane.homographies(s), FINE_GRID, FINE_NCC_WINDOW, top) for lane, s in self._planes]
         self._upright = [plane_at(lane.homographies(s), COARSE_GRID, COARSE_NCC_WINDOW, top) for lane, s in coarse]
-        self._on_road = [plane_at(_on_road(lane, s), COARSE_GRID, COARSE_NCC_WINDOW, top) for lane, s in coarse]
+        self._on_road = [plane_at(on_road(lane, s), COARSE_GRID, COARSE_NCC_WINDOW, top) for lane, s in coarse]
         boxes = [[_bounding_box(H, COARSE_GRID) for H in plane.homographies] for plane in self._upright]
         self._boxes = np.array(boxes, int).reshape(-1, 2, 4)
         per_metre = (self._boxes[:, 0, 2] - self._boxes[:, 0, 0]) / (-2 * FINE_GRID.left)
@@ -164,13 +171,13 @@ class PlaneSweepDetector:
                 areas[peaks] = 0.0
                 continue
             index, s, consistency, component = self._localise(volume, best)
-            on_road = plane_at(_on_road(*self._planes[index]), FINE_GRID, FINE_NCC_WINDOW, self.rows.start)
-            upright = float(upright_ratio(consistency * component, *on_road.correlation_map(views)))
+            as_road = plane_at(on_road(*self._planes[index]), FINE_GRID, FINE_NCC_WINDOW, self.rows.start)
+            upright = float(upright_ratio(consistency * component, *as_road.correlation_map(views)))
             if upright < MIN_FINE_UPRIGHT_RATIO:
                 continue
             first, end = self._lane_range(index)
             lane = self._planes[index][0]
-            detection = self._detection(frame, background, lane, s, consistency, component, upright)
+            detection = self._detection(frame, background, lane, s, consistency, component, upright, noise)
             if first < index < end - 1:  # at an end of the lane path the true maximum may lie beyond it
                 detections.append(detection)
             mask = volume.mask_vehicle(detection, self.rows.start, self._max_height)
@@ -285,6 +292,7 @@ class PlaneSweepDetector:
         consistency: Image,
         component: Mask,
         upright: float,
+        noise: float,
     ) -> Detection:
         area = float((consistency * component).sum()) * FINE_GRID.cell**2
         x, y = extent(component)
@@ -302,7 +310,7 @@ class PlaneSweepDetector:
             empty.append(np.clip(np.rint(scene[part]), 0, 255).astype(np.uint8))
             origins.append(low)
         views, scenes, crop_origins = (crops[0], crops[1]), (empty[0], empty[1]), np.array(origins, float)
-        return Detection(frame.index, frame.time, lane, s, x, y, area, upright, views, scenes, crop_origins)
+        return Detection(frame.index, frame.time, lane, s, x, y, area, upright, views, scenes, crop_origins, noise)
 
 
 class _ConsistencyVolume:
@@ -390,7 +398,7 @@ def _visible_rows(planes: list[tuple[LanePath, float]]) -> slice:
     return slice(max(top, 0), min(int(np.max(rows)) + 2, height))
 
 
-def _on_road(lane: LanePath, s: float) -> tuple[Array, Array]:
+def on_road(lane: LanePath, s: float) -> tuple[Array, Array]:
     """As `LanePath.homographies`, but what the left view shows on the plane lies on the road for the right one."""
     left, _ = lane.homographies(s)
     return left, lane.road_homography(s) @ left

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from paceline.arrays import Array, Image
+from paceline.detection.abreast import separated
 from paceline.detection.background_model import BackgroundModel
 from paceline.detection.detector import Detection, PlaneSweepDetector
 from paceline.detection.face_height import select_height
@@ -120,7 +121,8 @@ class VehicleFinder:
         detections = self._detector.detect(frame, background.images, background.noise)
         self._background.update(frame, self.rows)
         finished = [track for track in self._associator.associate(frame.time, detections) if is_vehicle(track)]
-        return [t for t in finished if not any(continued_by(t, other) for other in self._associator.tracks)]
+        passed = [t for t in finished if not any(continued_by(t, other) for other in self._associator.tracks)]
+        return [vehicle for track in passed for vehicle in vehicles_of(track)]
 
     @property
     def visible_tracks(self) -> list[DetectionTrack]:
@@ -130,7 +132,7 @@ class VehicleFinder:
     def remaining_tracks(self) -> list[DetectionTrack]:
         """As `finish`, but the tracks only."""
         tracks, self._associator = self._associator.tracks, TrackAssociator()
-        return [track for track in tracks if is_vehicle(track)]
+        return [vehicle for track in tracks if is_vehicle(track) for vehicle in vehicles_of(track)]
 
 
 class DuplicateFilter:
@@ -167,6 +169,12 @@ def is_vehicle(track: DetectionTrack) -> bool:
         return False
     smooth = count >= MIN_SMOOTH_DETECTIONS and track.roughness_px < MAX_SMOOTH_ROUGHNESS_PX
     return track.unsteadiness < (1.0 if smooth else MAX_UNSTEADINESS[abs(track.travel) > LONG_TRAVEL_M])
+
+
+def vehicles_of(track: DetectionTrack) -> list[DetectionTrack]:
+    """The tracks of two vehicles abreast that are one ``track``, where each is a vehicle by itself; else that alone."""
+    both = separated(track)
+    return both if all(is_vehicle(one) for one in both) else [track]
 
 
 def continued_by(track: DetectionTrack, other: DetectionTrack) -> bool:

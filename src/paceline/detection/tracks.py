@@ -50,6 +50,7 @@ class DetectionTrack:
     last: Detection | None = None
     frames_unseen: int = 0  # since the last detection
     frames_missed: int = 0  # between the first and the last detection
+    beside: DetectionTrack | None = None  # the vehicle abreast, from which a gap separates this one
     _stride: int = 1
 
     def add(self, detection: Detection) -> None:
@@ -120,7 +121,9 @@ class DetectionTrack:
 
     def same_vehicle(self, other: DetectionTrack) -> bool:
         """Whether this track and ``other`` follow one vehicle: one motion then fits the detections of both about the
-        time that they share."""
+        time that they share. Those abreast, between which a gap was seen, are two."""
+        if other is self.beside:
+            return False
         start, end = max(self.times[0], other.times[0]), min(self.times[-1], other.times[-1])
         if start - end > MAX_GAP_S:
             return False
