@@ -159,6 +159,17 @@ def test_a_receding_vehicle_shows_its_rear() -> None:
     assert place_scene(vehicles=[car]).vehicles[0].plane.end == "rear"
 
 
+def test_a_vehicle_that_overtakes_the_cameras_shows_its_rear() -> None:
+    """It begins behind them, where its front is the nearer end."""
+    placed = place_scene(frames=10)
+    eye = placed.road.locate(placed.views[0].centre, 0.0, 0.0)[0]
+    car = {"id": "v0", "start": eye - 2.0, "speed": 20.0, "lane": 1}
+    overtaking = place_scene(vehicles=[car], frames=10)
+    depths = [overtaking.views[0].to_camera(overtaking.vehicles[0].motion.pose(t)[1])[2] for t in overtaking.times[0]]
+    assert depths[0] < 0 < depths[-1]
+    assert overtaking.vehicles[0].plane.end == "rear"
+
+
 def test_wheels_roll_without_slipping() -> None:
     """The point of a wheel that touches the road stands still."""
     placed = place_scene()

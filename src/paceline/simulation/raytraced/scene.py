@@ -134,9 +134,15 @@ class PlacedStereoScene:
             motion = VehicleMotion(self.road, drive, body.wheelbase)
         except UnusableInput as error:
             raise UnusableInput(f"vehicles[{i}]: {error}") from None
-        R, origin = motion.pose(0.0)
-        approaching = (self.views[0].centre - origin) @ R[:, 0] > 0
-        return PlacedVehicle(m, body, motion, body.front if approaching else body.rear)
+        return PlacedVehicle(m, body, motion, body.front if self._shows_its_front(motion) else body.rear)
+
+    def _shows_its_front(self, motion: VehicleMotion) -> bool:
+        """Whether the left camera sees a vehicle from ahead where it is farthest before it: one that overtakes it
+        begins behind it."""
+        view = self.views[0]
+        poses = [motion.pose(t) for t in self.times[0].tolist() if motion.span[0] < t < motion.span[1]]
+        R, origin = max(poses, key=lambda pose: float(view.to_camera(pose[1])[2]), default=motion.pose(0.0))
+        return bool((view.centre - origin) @ R[:, 0] > 0)
 
     def static_meshes(self) -> list[SceneMesh]:
         """All that does not move."""
