@@ -76,6 +76,22 @@ def test_the_pictures_true_instants_are_found(order: list[int], rate: float) -> 
     assert found([driving(16.0), driving(12.0, -4.0)], order, rate) == steps_of(order)
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_every_picture_twice_though_nothing_moves_for_some_time(first: int) -> None:
+    """The intervals of a while tell nothing: those of a recorder that writes each picture twice go on through them, and
+    the stated times hold. Where no picture is repeated they do not."""
+    doubled = [k for k in range(16) for _ in range(2)][first:]
+    for order in (doubled, list(range(31))):
+        seen = intervals([driving(20.0)], order, 10.0)
+        seen = [replace(i, displacements=[]) if 9 <= n < 18 or n == 24 else i for n, i in enumerate(seen)]
+        _, steps, unclear = estimate_steps(seen, 0.1)
+        assert steps == steps_of(order) and not unclear
+        count = len(steps) + 1
+        taken = frame_times(np.arange(count), np.arange(count) / 10, np.arange(1, count), np.array(steps), 0.1)
+        assert np.ptp(taken.times[taken.kept] - np.arange(count)[taken.kept] / 10) < 0.101
+        assert taken.kept.sum() == len(set(order)) and not taken.gaps and not len(taken.unordered)
+
+
 @given(
     motions=st.lists(st.tuples(st.floats(0.0, 40.0), st.floats(-9.0, 6.0)), min_size=1, max_size=3),
     rate=st.sampled_from([5.0, 10.0, 25.0]),

@@ -208,6 +208,9 @@ def test_where_little_moves_the_offset_is_unknown(rig):
     assert fit_epipolar_residuals(rig, static, few, UNKNOWN_OFFSET, 0.017).offset is None
     fit = fit_epipolar_residuals(rig, NO_MATCHES, NO_MATCHES, UNKNOWN_OFFSET, 0.017)
     assert fit.offset is None and fit.epipolar_px is None
+    uncertain = replace(rig, uncertainty=RigUncertainty(2.0, 0.5, (2e-4, 5e-5, 5e-4), (2e-4, 2e-4, 2e-4)))
+    fit = fit_epipolar_residuals(uncertain, NO_MATCHES, NO_MATCHES, UNKNOWN_OFFSET, 0.017)
+    assert fit.offset is None and fit.rig_shift_sigma == 0.0
 
 
 @pytest.mark.parametrize("slope", [0.0, 1e-5])

@@ -20,7 +20,8 @@ from paceline.progress import Progress
 from paceline.recordings.stereo import StereoRecording
 
 FRAME_STEPS = (1, 0, 2, 3, 4, 5, -1, -2)  # intervals from one frame to the next
-FAULT_PROBABILITY = 1e-6  # of each step but 1; recorders that have repeated pictures do so again more often
+FAULT_PROBABILITY = 1e-6  # of each step but 1; recorders that have repeated pictures do so again more often,
+# and as probable is it that one writes every picture twice
 # Accelerations (m/s²) along the direction of travel, sideways and upwards: their standard deviations in ordinary
 # driving and where tyres are used to their limits (twice these), and how probable either is
 ACCELERATION_STDS_MPS2 = np.array([[2.0, 2.0, 0.3], [4.5, 4.5, 1.0]])
@@ -52,7 +53,9 @@ class _Velocity:
 @dataclass(frozen=True, eq=False)
 class _Hypothesis:
     """So many steps, of which ``repetitions`` are 0 and the last ones are the ``latest``, the logarithm of their
-    probability and the velocity of each group under them; ``history`` links all of them, the last one first.
+    probability and the velocity of each group under them; ``history`` links all of them, the last one first. Under a
+    hypothesis that is ``doubled``, the recorder writes every picture twice: every second step is 0, from the first
+    (0) or from the second (1) on.
 
     ``unclear`` are the places of steps in which hypotheses that are nearly as likely differed from it.
     """
@@ -64,6 +67,12 @@ class _Hypothesis:
     repetitions: int = 0
     history: tuple[Any, ...] = ()
     unclear: frozenset[int] = frozenset()
+    doubled: int | None = None
+
+    @property
+    def expected_step(self) -> int:
+        """The next step where nothing moves that tells it."""
+        return 0 if self.doubled == self.count % 2 else 1
 
     def against(self, others: Iterable[_Hypothesis]) -> _Hypothesis:
         """The same after it was preferred to the ``others``."""
@@ -90,6 +99,8 @@ class _Hypothesis:
 
     def log_prior(self, step: int) -> float:
         """The logarithm of the probability of a further ``step``, before anything is seen of it."""
+        if self.doubled is not None:
+            return 0.0 if step == self.expected_step else float(np.log(FAULT_PROBABILITY))
         repetition = max(FAULT_PROBABILITY, self.repetitions / (self.count + 2))
         return float(np.log({0: repetition, 1: 1.0 - repetition}.get(step, FAULT_PROBABILITY)))
 
@@ -234,11 +245,14 @@ def estimate_steps(
     """The frames of each of the ``intervals``, and how many frame periods (``period`` s each) it is longer than stated,
     plus 1: the likeliest of all sequences of `FRAME_STEPS`. And the places of the steps that are not clear."""
     frames: list[tuple[int, int]] = []
-    hypotheses = [_Hypothesis(0.0, {})]
+    doubled = [_Hypothesis(float(np.log(FAULT_PROBABILITY)), {}, doubled=first) for first in (0, 1)]
+    hypotheses = [_Hypothesis(0.0, {}), *doubled]
     for interval in intervals:
         frames.append((interval.first, interval.second))
-        steps = _possible_steps(interval, period) if interval.displacements else FRAME_STEPS[:1]
-        hypotheses = _pruned([_extended(h, interval, step, period) for h in hypotheses for step in steps])
+        steps = _possible_steps(interval, period) if interval.displacements else []
+        hypotheses = _pruned(
+            [_extended(h, interval, step, period) for h in hypotheses for step in steps or [h.expected_step]]
+        )
     best = hypotheses[0].against(hypotheses[1:])
     return frames, best.steps, best.unclear
 
@@ -252,10 +266,10 @@ def _pruned(hypotheses: list[_Hypothesis]) -> list[_Hypothesis]:
     """The likeliest of the ``hypotheses``, best first, and of those that differ no longer only the best."""
     hypotheses = sorted(hypotheses, key=lambda h: -h.log_probability)
     least = hypotheses[0].log_probability - MAX_LOG_ODDS
-    groups: dict[tuple[int, ...], list[_Hypothesis]] = {}
+    groups: dict[tuple[object, ...], list[_Hypothesis]] = {}
     for hypothesis in hypotheses:
         if hypothesis.log_probability > least:
-            groups.setdefault(hypothesis.latest, []).append(hypothesis)
+            groups.setdefault((hypothesis.doubled, *hypothesis.latest), []).append(hypothesis)
     return [best.against(others) for best, *others in groups.values()][:MAX_HYPOTHESES]
 
 
@@ -279,6 +293,7 @@ def _extended(hypothesis: _Hypothesis, interval: Interval, step: int, period: fl
         hypothesis.repetitions + (step == 0),
         (step, hypothesis.history),
         hypothesis.unclear,
+        hypothesis.doubled,
     )
 
 
