@@ -87,6 +87,7 @@ def scene(seed: int, kind: str) -> SpeedScene:
         vehicles[0] = beside | {"offset": -0.5 * side}
         along = float(rng.uniform(-2.0, 2.0))
         vehicles.append(beside | {"kind": "motorcycle", "offset": 1.35 * side, "start": beside["start"] + along})
+    lanes = [v["lane"] for v in vehicles]
     length = float(np.ptp([v["start"] for v in vehicles if v["lane"] == vehicles[0]["lane"]]))
     height, target = float(rng.uniform(4.0, 7.0)), 50.0
     return SpeedScene.model_validate(
@@ -99,7 +100,9 @@ def scene(seed: int, kind: str) -> SpeedScene:
             "road": {"kind": "straight", "length": 200.0, "wear": float(rng.uniform(0, 0.6))},
             "light": {"azimuth": float(rng.uniform(-np.pi, np.pi)), "elevation": float(rng.uniform(0.35, 1.1))},
             "scenery": {"trees": 0.0, "poles": 0.0, "buildings": 0.3},
-            "vehicles": [v | {"id": f"t{k}", "measured": k == 0} for k, v in enumerate(vehicles)],
+            "vehicles": [  # the first one of each lane is measured, so that the clip has a path there
+                v | {"id": f"t{k}", "measured": lanes.index(v["lane"]) == k} for k, v in enumerate(vehicles)
+            ],
             "rig": {
                 "image_size": [1024, 768],
                 "focal": 1500.0,
