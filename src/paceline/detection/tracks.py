@@ -127,6 +127,9 @@ class DetectionTrack:
         start, end = max(self.times[0], other.times[0]), min(self.times[-1], other.times[-1])
         if start - end > MAX_GAP_S:
             return False
+        earlier, later = (self, other) if self.times[0] <= other.times[0] else (other, self)
+        if start > end and not earlier.may_go_on_as(later):
+            return False
         lane, shared = self.first.lane, (min(start, end) - MAX_GAP_S, max(start, end) + MAX_GAP_S)
         own_observations, others = self._observations(lane, *shared), other._observations(lane, *shared)
         lateral_distance = abs(np.median(own_observations[3]) - np.median(others[3]))
@@ -135,6 +138,15 @@ class DetectionTrack:
         residuals = np.abs(motion_residuals(*np.hstack([own_observations, others])[:3]))
         count = own_observations.shape[1]
         return bool(max(np.median(residuals[:count]), np.median(residuals[count:])) <= MAX_JOINT_RESIDUAL)
+
+    def may_go_on_as(self, later: DetectionTrack) -> bool:
+        """Whether the vehicle of this track, which has ended, may have driven to where a ``later`` one begins."""
+        dt, duration = later.times[0] - self.times[-1], self.times[-1] - self.times[0]
+        if duration <= 0:
+            return True
+        s = self.first.lane.path.nearest(later.positions[0])
+        gate = self.errors[-1] * (1 + dt / duration) + later.errors[0] + 0.5 * MAX_ACCELERATION_MPS2 * dt**2
+        return bool(abs(s - self.arc_lengths[-1] - self.speed * dt) <= gate)
 
     def _observations(self, lane: LanePath, start: float, end: float) -> Array:
         """Times, arc lengths on ``lane``, errors and lateral offsets (4, N) of the detections from ``start`` to
