@@ -246,6 +246,7 @@ def test_what_is_looked_for_is_a_setting(tmp_path: Path) -> None:
         assert search.reason and not search.clip.vehicles
 
 
+@pytest.mark.slow
 def test_detected_vehicles_are_measured(tmp_path: Path) -> None:
     result = measure_clip(unclicked(two(), tmp_path))
     measured = sorted(m.speed for m in result.measurements)

@@ -102,11 +102,11 @@ def test_what_begins_far_behind_where_a_vehicle_was_lost_is_another_one() -> Non
     """Far away their places are so uncertain that one slow motion would fit both; each drives faster than that."""
     times = np.arange(7) / 5
     lost, next_one = driven(times, 4 + 13 * times), driven(times + 2.2, 6 + 13 * times)
-    goes_on = driven(times + 2.2, 4 + 13 * (times + 2.2))
-    for track in (lost, next_one, goes_on):
+    continuation = driven(times + 2.2, 4 + 13 * (times + 2.2))
+    for track in (lost, next_one, continuation):
         track.errors = [7.0] * len(times)
     assert not lost.same_vehicle(next_one) and not next_one.same_vehicle(lost)
-    assert lost.same_vehicle(goes_on) and goes_on.same_vehicle(lost)
+    assert lost.same_vehicle(continuation) and continuation.same_vehicle(lost)
 
 
 def test_vehicle_that_is_followed_by_a_longer_track_has_not_passed() -> None:

@@ -92,6 +92,7 @@ def test_every_picture_twice_though_nothing_moves_for_some_time(first: int) -> N
         assert taken.kept.sum() == len(set(order)) and not taken.gaps and not len(taken.unordered)
 
 
+@pytest.mark.slow
 @given(
     motions=st.lists(st.tuples(st.floats(0.0, 40.0), st.floats(-9.0, 6.0)), min_size=1, max_size=3),
     rate=st.sampled_from([5.0, 10.0, 25.0]),

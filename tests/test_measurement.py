@@ -297,7 +297,7 @@ def test_a_crossing_vehicle_without_a_path(command: Command, crossing: tuple[Sce
     assert_right(command(clip), speed=s.vehicles[0].speed, slack=0.1)
 
 
-@pytest.mark.parametrize("receding", slow_after(1, [True, False]))
+@pytest.mark.parametrize("receding", slow_after(0, [True, False]))
 def test_an_approaching_or_receding_vehicle_without_a_path(command: Command, tmp_path: Path, receding: bool) -> None:
     vehicle = Vehicle("v0", SPEED, start_distance=24.0 if receding else 56.0, receding=receding, texture_seed=6)
     clip = write(render(scene(vehicles=(vehicle,), draw_path=False)), tmp_path / "clip")

@@ -197,6 +197,7 @@ def test_a_clip_may_state_nothing_about_its_cameras(tmp_path: Path) -> None:
     assert clip.rig.uncertainty is not None and clip.rig.uncertainty.is_assumed
 
 
+@pytest.mark.slow
 def test_a_chase_is_one_that_paceline_reads(tmp_path: Path) -> None:
     scene = FollowScene.model_validate(tiny_follow())
     folder = chase_clip.write(scene, tmp_path / "chase", variant=PORTABLE_VARIANT).parent

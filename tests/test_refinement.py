@@ -215,6 +215,7 @@ def test_the_expected_driver_and_the_odds_asked_decide_on_the_model(rendered: Ca
     assert gained[1] == pytest.approx(true, abs=0.5)
 
 
+@pytest.mark.slow
 def test_occluded_frames_at_the_end_are_not_measured(tmp_path: Path) -> None:
     """A braking vehicle, occluded at the end: the mean speed is that of the frames before."""
     braking = scene("left", 22.0, 4, acceleration=-3.0)

@@ -31,6 +31,7 @@ MIN_SIDE_WIDTH_M = 0.4  # of a motorcycle without its handlebars
 MAX_VEHICLE_WIDTH_M = 2.6  # greatest width of a vehicle's body: Directive 96/53/EC, annex I, 1.2
 WIDTH_ERROR_M = 0.2  # two standard deviations of a width of two sides on their own planes
 MIN_GAP_DETECTIONS, MIN_GAP_SHARE = 3, 0.4  # of the detections, that show a gap where there are two vehicles
+MIN_SIDE_TEXTURE_GREY = 3.0  # least local standard deviation: paint that is nearly even agrees on many planes
 SIDE_RANGE_M_PX, SIDE_STEPS = (4.0, 1.0), 33  # to either side of a detection along the lane, as it may be between
 
 
@@ -120,7 +121,7 @@ def _consistency(detection: Detection, s: float, x: Span) -> tuple[LocalStatisti
 
 def _consistent_area(detection: Detection, s: float, x: Span) -> float:
     left, right, consistency = _consistency(detection, s, x)
-    textured = np.minimum(left.std, right.std) > 3.0
+    textured = np.minimum(left.std, right.std) > MIN_SIDE_TEXTURE_GREY
     return float((consistency * textured).sum()) * GAP_GRID.cell**2
 
 

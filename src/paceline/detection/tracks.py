@@ -141,12 +141,11 @@ class DetectionTrack:
 
     def may_go_on_as(self, later: DetectionTrack) -> bool:
         """Whether the vehicle of this track, which has ended, may have driven to where a ``later`` one begins."""
-        dt, duration = later.times[0] - self.times[-1], self.times[-1] - self.times[0]
-        if duration <= 0:
+        if len(self.times) == 1:
             return True
+        predicted, gate = self._prediction(later.times[0])
         s = self.first.lane.path.nearest(later.positions[0])
-        gate = self.errors[-1] * (1 + dt / duration) + later.errors[0] + 0.5 * MAX_ACCELERATION_MPS2 * dt**2
-        return bool(abs(s - self.arc_lengths[-1] - self.speed * dt) <= gate)
+        return bool(abs(s - predicted) <= gate + self.errors[-1] + later.errors[0])
 
     def _observations(self, lane: LanePath, start: float, end: float) -> Array:
         """Times, arc lengths on ``lane``, errors and lateral offsets (4, N) of the detections from ``start`` to
@@ -177,12 +176,17 @@ class DetectionTrack:
         error = detection.distance_error(*POSITION_ERROR_M_PX)
         if len(self.times) == 1:
             return bool(abs(s - self.arc_lengths[-1]) <= DEFAULT_LIMITS.max_speed * dt + error)
+        predicted, gate = self._prediction(detection.time)
+        return bool(abs(s - predicted) <= gate + error)
+
+    def _prediction(self, time: float) -> tuple[float, float]:
+        """Where the vehicle is at a later ``time`` by its latest detections, of which there are two at least, and how
+        far it may be from there, both m along the lane."""
         recent = slice(-SPEED_DETECTIONS, None)
-        t, places = np.array(self.times[recent]) - detection.time, np.array(self.arc_lengths[recent])
+        t, places = np.array(self.times[recent]) - time, np.array(self.arc_lengths[recent])
         v = theil_sen_slope(t, places)
-        predicted = float(np.median((places - v * t)[-PREDICTION_DETECTIONS:]))
-        gate = error + self.errors[-1] * dt / (t[-1] - t[0]) + 0.5 * MAX_ACCELERATION_MPS2 * dt**2
-        return bool(abs(s - predicted) <= gate)
+        gate = self.errors[-1] * -t[-1] / (t[-1] - t[0]) + 0.5 * MAX_ACCELERATION_MPS2 * t[-1] ** 2
+        return float(np.median((places - v * t)[-PREDICTION_DETECTIONS:])), float(gate)
 
 
 def _absolute_deviation(s: Array) -> float:

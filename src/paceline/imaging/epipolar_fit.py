@@ -140,7 +140,8 @@ def _cubic_terms(pixels: Array, image_size: tuple[int, int]) -> Array:
 
 def _occupied_tiles(pixels: Array, image_size: tuple[int, int]) -> int:
     """How many of the `TILES` of the picture hold some of the ``pixels`` (N, 2)."""
-    return len(np.unique(np.floor(pixels / np.array(image_size) * TILES), axis=0))
+    tiles = np.floor(pixels / np.array(image_size) * TILES).clip(0, np.array(TILES) - 1)
+    return len(np.unique(tiles, axis=0))
 
 
 def _likely_offset(residual: Array, across: Array, reach: float) -> float:
@@ -166,7 +167,8 @@ def _robust_fit(
     maxima. Both are found, and averaged by their evidence; in that the residuals of one of the ``tiles`` count once.
     """
     rig, *lens = calibrated
-    maxima = [_local_fit(X, residual, prior, start, calibrated, first, tiles) for first in ([rig], lens)]
+    explained_first = ([rig], lens) if lens else ([rig],)
+    maxima = [_local_fit(X, residual, prior, start, calibrated, first, tiles) for first in explained_first]
     evidence = np.array([maximum.log_evidence for maximum in maxima])
     share = np.exp(evidence - evidence.max())
     share /= share.sum()
@@ -219,10 +221,14 @@ def _local_fit(
             count, squares = group.stop - group.start, float(x[group] @ x[group] + variances[group].sum())
             precision = min((CALIBRATION_DOF + count) / (CALIBRATION_DOF + squares), 1.0)
             scaled[group, group] = precision * prior[group, group]
-    log_evidence = -0.5 * float(np.linalg.slogdet(information)[1]) - tiles * float(np.log(sigma))
+    # By Laplace's method, with the residuals of a tile as one observation, and Student's curvature at the maximum
+    log_evidence, curvature = -max(tiles, len(x)) * float(np.log(sigma)), prior.copy()
     for group in calibrated:
-        count = group.stop - group.start
-        log_evidence -= 0.5 * (CALIBRATION_DOF + count) * float(np.log1p(x[group] @ x[group] / CALIBRATION_DOF))
+        count, squares = int(X[:, group].any(axis=0).sum()), float(x[group] @ x[group])
+        log_evidence -= 0.5 * (CALIBRATION_DOF + count) * float(np.log1p(squares / CALIBRATION_DOF))
+        curvature[group, group] *= (CALIBRATION_DOF + count) / (CALIBRATION_DOF + squares)
+    curvature = curvature + (X.T * weights) @ X * (tiles / max(len(X), 1) / sigma**2)
+    log_evidence -= 0.5 * float(np.linalg.slogdet(curvature)[1])
     return _Maximum(x, np.asarray(np.linalg.inv(information)), weights, log_evidence)
 
 

@@ -14,6 +14,7 @@ from paceline.arrays import Array
 
 MIN_LASTING_LOG_ODDS = 3.0  # of a lasting change over none
 MIN_FRAMES_BESIDE = 3  # on either side of a knock
+MIN_LASTING_PX = 0.1  # less moves no feature by more than it is matched to
 MIN_SWAY_STD_PX = 0.02  # of displacements that are estimated from corners; see `camera_rotation`
 
 
@@ -38,19 +39,29 @@ def lasting_turn(time: Array, displacement: Array) -> LastingTurn:
         return LastingTurn()
     one, t = np.ones(N), time - time.mean()
     line, still = np.column_stack([one, t]), one[:, None]
-    splits = range(MIN_FRAMES_BESIDE, N - MIN_FRAMES_BESIDE + 1)
-    steps = [np.column_stack([one, np.arange(N) >= k]) for k in splits]
-    best = int(np.argmin([_residual(displacement, X).std(axis=0).prod() for X in steps]))
-    step = steps[best]
+    split = _best_split(displacement)
+    step = np.column_stack([one, np.arange(N) >= split])
     independent = _independent_frames(_residual(displacement, np.column_stack([line, step[:, 1]])))
     still_evidence = _evidence(displacement, still, independent)
     of_line = _evidence(displacement, line, independent) - still_evidence
-    of_step = _evidence(displacement, step, independent) - still_evidence - np.log(len(steps))
+    of_step = _evidence(displacement, step, independent) - still_evidence - np.log(N)
     if max(of_line, of_step) < MIN_LASTING_LOG_ODDS:
         return LastingTurn()
+    change = float(np.linalg.norm(_fit(displacement, line if of_line > of_step else step)[1]))
     if of_line > of_step:
-        return LastingTurn(drift_px_per_min=60.0 * float(np.linalg.norm(_fit(displacement, line)[1])))
-    return LastingTurn(knock_px=float(np.linalg.norm(_fit(displacement, step)[1])), knocked=splits[best] - 1)
+        return LastingTurn(drift_px_per_min=60.0 * change) if change * np.ptp(t) > MIN_LASTING_PX else LastingTurn()
+    return LastingTurn(knock_px=change, knocked=split - 1) if change > MIN_LASTING_PX else LastingTurn()
+
+
+def _best_split(displacement: Array) -> int:
+    """The first frame after the likeliest step, from the sums of squares about the means before and after each."""
+    N = len(displacement)
+    total, squares = displacement.cumsum(axis=0), (displacement**2).cumsum(axis=0)
+    splits = np.arange(MIN_FRAMES_BESIDE, N - MIN_FRAMES_BESIDE + 1)
+    before, count = total[splits - 1], splits[:, None]
+    about_means = squares[-1] - before**2 / count - (total[-1] - before) ** 2 / (N - count)
+    log_std = np.log(np.maximum(about_means, 0.0) / N + MIN_SWAY_STD_PX**2).sum(axis=1)
+    return int(splits[np.argmin(log_std)])
 
 
 def _fit(displacement: Array, X: Array) -> Array:

@@ -80,15 +80,17 @@ class RecordedCameras:
     @cached_property
     def _lasting_turns(self) -> list[tuple[LastingTurn, float]]:
         """What lasts of each view's rotations, as far as they are known, and when (s) it was knocked."""
-        if self.recording.rotations is None:
-            return [(LastingTurn(), np.nan)] * 2
+        turns: list[tuple[LastingTurn, float]] = [(LastingTurn(), np.nan)] * 2
+        if (corrected := self.recording.rotations) is None:
+            return turns
         times = self.recording.times if self.frame_times is None else self.frame_times.times
-        turns = []
         for side, camera in enumerate(self.clip.rig.cameras):
+            if not corrected[:, side].any():
+                continue
             order = np.argsort(times, kind="stable")
             order = order[self.rotations.is_known[order, side]]
             turn = lasting_turn(times[order], camera.K[0, 0] * self.rotations.vectors[order, side, :2])
-            turns.append((turn, float(times[order][max(turn.knocked, 0) :][:2].mean())))
+            turns[side] = turn, float(times[order][max(turn.knocked, 0) :][:2].mean())
         return turns
 
     @property

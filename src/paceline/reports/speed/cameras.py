@@ -20,7 +20,7 @@ def camera_rows(cameras: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
         of_view = cameras.get(view) or {}
         if readout := of_view.get("readout_s"):
             rows.append(_row(f"the {view} camera reads its rows within", readout, 1e3, "ms"))
-        if (sway := of_view.get("sway_px_rms")) is not None:
+        if sway := of_view.get("sway_px_rms"):
             rows.append((f"the {view} camera turns, RMS", f"{format_number(sway, 2)} px", "estimated", NO_VALUE))
         if drift := of_view.get("drift_px_per_min"):
             rows.append((f"the {view} camera drifts", f"{format_number(drift, 1)} px/min", "estimated", NO_VALUE))
@@ -37,6 +37,6 @@ def camera_rows(cameras: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 def _row(what: str, quantity: Mapping[str, Any], scale: float, unit: str) -> tuple[str, str, str, str]:
     value, half_width = scale * quantity["value"], scale * COVERAGE_95 * quantity["std"]
-    effect = quantity.get("speed_effect")
-    change = NO_VALUE if effect is None else f"{format_number(100 * COVERAGE_95 * effect, 2)} %"
+    effect = quantity.get("speed_effect")  # 0 where no vehicle tells
+    change = f"{format_number(100 * COVERAGE_95 * effect, 2)} %" if effect else NO_VALUE
     return what, f"{format_number(value, 2)} ± {format_number(half_width, 2)} {unit}", str(quantity["source"]), change

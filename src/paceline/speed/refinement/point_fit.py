@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array
+from paceline.imaging.robust_weights import tukey_weights
 from paceline.speed.refinement import robust_covariance
 from paceline.speed.refinement.corner_tracks import CornerTracks, track_corners
 from paceline.speed.refinement.keyframes import Keyframe
@@ -22,7 +23,6 @@ from paceline.speed.refinement.trajectory import PARAMETER_INDEX, prior
 MIN_TRACKED_VIEWS = 4  # least views of either camera in which a corner is tracked
 MIN_TRACKED_CORNERS = 8
 CORNER_PLACE_STD_M = 10.0  # prior standard deviation of a corner's place: it decides only where nothing else does
-TUKEY_LIMIT_SIGMA = 4.685  # Tukey's constant, of 95 % efficiency for normal errors
 MEDIAN_ERROR_LENGTH = np.sqrt(2 * np.log(2))  # median length of a plane error of standard deviation 1 along each axis
 SCALE_ESTIMATION_STEPS, POINT_FIT_STEPS = 4, 8  # Gauss–Newton steps in which the errors' scale is estimated, and in all
 CONVERGED_POINT_STEP_SIGMA = 0.05  # largest step of a motion parameter, in its standard deviations, at the end
@@ -45,7 +45,10 @@ class SecondEstimate:
 def second_estimate(refined: RefinedMotion, keyframes: Sequence[Keyframe]) -> SecondEstimate | None:
     """The `SecondEstimate` of a ``refined`` motion; None where too few corners are tracked to determine it."""
     trajectory = refined.trajectory
-    tracks = track_corners(keyframes, trajectory.homographies(refined.theta)[0])
+    try:
+        tracks = track_corners(keyframes, trajectory.homographies(refined.theta)[0])
+    except np.linalg.LinAlgError:
+        return None
     tracked = tracks.information > 0
     usable = np.minimum(tracked[:, ::2].sum(1), tracked[:, 1::2].sum(1)) >= MIN_TRACKED_VIEWS
     if usable.sum() < MIN_TRACKED_CORNERS:
@@ -128,8 +131,7 @@ class PointFit:
         size = np.linalg.norm(residuals, axis=-1) * np.sqrt(information)
         if estimate_scale:
             self._sigma = max(float(np.median(size[information > 0])) / float(MEDIAN_ERROR_LENGTH), 1e-6)
-        share = np.minimum(size / (TUKEY_LIMIT_SIGMA * self._sigma), 1.0)
-        weights = information * ((1.0 - share**2) / self._sigma) ** 2
+        weights = information * tukey_weights(size, self._sigma) / self._sigma**2
         weighted = weights[..., None, None] * jacobian
         cells_A = np.swapaxes(jacobian, -1, -2) @ weighted
         cells = (weighted * residuals[..., None]).sum(-2)
