@@ -51,6 +51,7 @@ def setup_of(tab: Tab) -> Any:
     return json.loads(tab.run(f"JSON.stringify([{EDITOR}.model.paths, {EDITOR}.model.vehicles])"))
 
 
+@pytest.mark.slow
 def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, console: Console) -> None:
     root, address, new = console
     tiny_chase.write(tmp_path, 40)

@@ -261,6 +261,7 @@ def test_the_readmes_session_is_what_the_command_prints() -> None:
     assert done.stdout == printed
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unrendered_plots")
 def test_the_readme_measures_and_reports(elsewhere: Path, capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(blocks("python", README)[0], "README.md", "exec"), {})

@@ -193,7 +193,8 @@ def _locate(
             confidences[0 if vertical[j] else 1] += weights[j] ** 2
     confidences[2] = confidences[0] + confidences[1]
     confidences[:2] += elsewhere**2
-    freedom += (elsewhere > 0.0).sum()
+    for share in elsewhere:
+        freedom += share > 0.0
     # few features more than unknowns hardly check each other
     inflation = max(1.0, J / freedom) * (1.0 + UNCHECKED / freedom) if freedom > 0 else 1.0 + 2.0 * UNCHECKED
     return True, x, inverse @ inverse.T * inflation, np.sqrt(confidences / max(J, CONSISTENT)), J, residuals

@@ -150,11 +150,13 @@ def agreement(
     `LEAST_SHOWN` of the model at least. A long line counts as a short one in the first: what only looks like the target
     has the long lines in common with it.
     """
-    squares, ratios, match, agreed, full, most = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    squares, ratios, match, agreed, full, most, visible, n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
     agreeing = np.zeros(len(offsets), np.bool_)
     for j in range(len(offsets)):
         full += lengths[j]
         most += lengths[j] * shown[j]
+        visible += shown[j]
+        n += used[j]
         if used[j]:
             ratio = offsets[j] / allowed[j]
             squares += offsets[j] ** 2
@@ -162,8 +164,7 @@ def agreement(
             match += shares[j] * np.exp(-0.5 * ratio * ratio)
             agreeing[j] = abs(ratio) < AGREEING
             agreed += lengths[j] * shown[j] * agreeing[j]
-    n = used.sum()
-    match = min(match / max(shown.sum(), LEAST_SHOWN * len(offsets)), 1.0)
+    match = min(match / max(visible, LEAST_SHOWN * len(offsets)), 1.0)
     support = agreed / max(most, LEAST_SHOWN * full)
     return np.sqrt(squares / n), np.sqrt(ratios / n), match, support, agreeing
 

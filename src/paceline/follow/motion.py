@@ -74,7 +74,9 @@ def updated(pair: Array, value: float, weight: float) -> Array:
     rows[0, 1] = 0.0
     rows[0, 2] = 0.0
     rows[0, 3] = weight * value
-    rows[1:] = pair
+    for i in range(3):
+        for j in range(4):
+            rows[i + 1, j] = pair[i, j]
     triangularise(rows)
     return rows[:3].copy()
 

@@ -48,5 +48,8 @@ def _placed(
     to_metres[:, :2] = z * K_inv[:, :2]
     to_metres[:, 2] = -position / location[2]
     model = np.array([np.hypot(tolerance, YAW * (0.5 * width) ** 2 / z), tolerance, tolerance * z / width])
-    variance = ((to_metres @ covariance) * to_metres).sum(1)
+    by_location, variance = to_metres @ covariance, np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            variance[i] += by_location[i, j] * to_metres[i, j]
     return position, np.sqrt(np.maximum(variance, 0.0) + model**2), ray[0]

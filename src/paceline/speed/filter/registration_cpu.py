@@ -139,7 +139,11 @@ def normal_equations(
     variance, along = np.empty(parts), np.empty(k)
     normal[:] = 0.0
     for v in range(views):
-        gain = min(max((w[v] * TI[v]).sum() / ((w[v] * TT).sum() + 1e-9), gains[0]), gains[1])
+        product, square = 0.0, 0.0  # in loops: NumPy's sums take seconds to compile
+        for p in range(parts):
+            product += w[v, p] * TI[v, p]
+            square += w[v, p] * TT[p]
+        gain = min(max(product / (square + 1e-9), gains[0]), gains[1])
         for p in range(parts):
             variance[p] = max(II[v, p] / gain**2 - 2 * TI[v, p] / gain + TT[p], 0.0) / samples
         median_variance = np.median(variance)
