@@ -193,8 +193,9 @@ def _locate(
             confidences[0 if vertical[j] else 1] += weights[j] ** 2
     confidences[2] = confidences[0] + confidences[1]
     confidences[:2] += elsewhere**2
-    for share in elsewhere:
-        freedom += share > 0.0
+    for confidence in elsewhere:
+        if confidence > 0.0:
+            freedom += 1
     # few features more than unknowns hardly check each other
     inflation = max(1.0, J / freedom) * (1.0 + UNCHECKED / freedom) if freedom > 0 else 1.0 + 2.0 * UNCHECKED
     return True, x, inverse @ inverse.T * inflation, np.sqrt(confidences / max(J, CONSISTENT)), J, residuals
