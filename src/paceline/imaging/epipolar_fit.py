@@ -38,7 +38,7 @@ CALIBRATION_DOF = 4.0
 DISTORTION_RESIDUAL_PX = 0.15
 DISTORTION_DEGREES = [(i, degree - i) for degree in range(4) for i in range(degree + 1)]  # in x and y
 LINEAR_TERMS = 3  # of degree 0 and 1, which are the first ones
-TILES = 8, 6  # parts of the picture within which what no model describes is alike
+EVIDENCE_TILES = 8, 6  # across and down the picture; within one, what no model describes is alike
 RIG_STEP_SIGMA = 1e-2  # step of finite differences, in prior standard deviations
 RESIDUAL_FIT_STEPS = 30
 FREE_PRECISION, FREE_STEPS = 1e-2, 5  # of the prior of what explains first, and for how many steps
@@ -139,8 +139,8 @@ def _cubic_terms(pixels: Array, image_size: tuple[int, int]) -> Array:
 
 
 def _occupied_tiles(pixels: Array, image_size: tuple[int, int]) -> int:
-    """How many of the `TILES` of the picture hold some of the ``pixels`` (N, 2)."""
-    tiles = np.floor(pixels / np.array(image_size) * TILES).clip(0, np.array(TILES) - 1)
+    """How many of the `EVIDENCE_TILES` of the picture hold some of the ``pixels`` (N, 2)."""
+    tiles = np.floor(pixels / np.array(image_size) * EVIDENCE_TILES).clip(0, np.array(EVIDENCE_TILES) - 1)
     return len(np.unique(tiles, axis=0))
 
 
@@ -221,15 +221,22 @@ def _local_fit(
             count, squares = group.stop - group.start, float(x[group] @ x[group] + variances[group].sum())
             precision = min((CALIBRATION_DOF + count) / (CALIBRATION_DOF + squares), 1.0)
             scaled[group, group] = precision * prior[group, group]
-    # By Laplace's method, with the residuals of a tile as one observation, and Student's curvature at the maximum
+    evidence = _log_evidence(X, x, prior, calibrated, weights, sigma, tiles)
+    return _Maximum(x, np.asarray(np.linalg.inv(information)), weights, evidence)
+
+
+def _log_evidence(
+    X: Array, x: Array, prior: Array, calibrated: list[slice], weights: Array, sigma: float, tiles: int
+) -> float:
+    """The logarithm of the evidence of a maximum ``x`` (n,) by Laplace's method, but for a constant: with the residuals
+    of a tile, of standard deviation ``sigma`` px, as one observation, and the curvature of Student's distributions."""
     log_evidence, curvature = -max(tiles, len(x)) * float(np.log(sigma)), prior.copy()
     for group in calibrated:
         count, squares = int(X[:, group].any(axis=0).sum()), float(x[group] @ x[group])
         log_evidence -= 0.5 * (CALIBRATION_DOF + count) * float(np.log1p(squares / CALIBRATION_DOF))
         curvature[group, group] *= (CALIBRATION_DOF + count) / (CALIBRATION_DOF + squares)
     curvature = curvature + (X.T * weights) @ X * (tiles / max(len(X), 1) / sigma**2)
-    log_evidence -= 0.5 * float(np.linalg.slogdet(curvature)[1])
-    return _Maximum(x, np.asarray(np.linalg.inv(information)), weights, log_evidence)
+    return log_evidence - 0.5 * float(np.linalg.slogdet(curvature)[1])
 
 
 def velocity_across(rig: StereoRig, left: Array, right: Array, velocity: Array) -> Array:
