@@ -28,7 +28,7 @@ from paceline.speed.acceptance import (
 )
 from paceline.speed.configuration import DEFAULT_LIMITS
 from paceline.speed.refinement.model_selection import RefinedMotion
-from paceline.speed.refinement.trajectory import Trajectory
+from paceline.speed.refinement.trajectory import Prior, Trajectory
 from paceline.speed.results import Measurement, Track
 
 Array = NDArray[np.float64]
@@ -40,8 +40,8 @@ def refined(explained: list[float], off: float = 0.0, converged: bool = True) ->
     both = np.repeat(np.array(explained)[:, None], 2, axis=1)
     offsets = np.where(np.isnan(both)[..., None], np.nan, [off, 0.0])
     trajectory = cast(Trajectory, None)  # not used
-    theta, covariances, shifts = np.zeros(1), [np.zeros((1, 1))] * 3, np.zeros(3)
-    fit = 1.0, 10.0, offsets, both, (), 0.0, 9.0, converged
+    theta, covariances, shifts = np.zeros(1), [np.zeros((1, 1))] * 4, np.zeros(3)
+    fit = 1.0, 10.0, offsets, both, (), cast(Prior, None), 0.0, 9.0, converged
     return RefinedMotion(trajectory, shifts, theta, *covariances, None, *fit)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -150,7 +151,41 @@ def test_a_difference_counts_beyond_the_interval_and_both_covariances() -> None:
     by_covariances = float(student.ppf(1 - MAX_DISAGREEMENT_CHANCE / 2, 9.0)) * 0.1
 
     def code(difference: float, half_width: float) -> str:
-        return check_second_estimate(refined, SecondEstimate(20.0, difference, 0.1), half_width).code
+        return check_second_estimate(refined, second(difference, 0.1, 0.05), half_width).code
 
     assert code(1.01 * by_covariances, 0.2) == code(-1.01 * by_covariances, 0.2) == "methods_disagree"
     assert code(0.99 * by_covariances, 0.2) == code(1.01 * by_covariances, 0.5) == code(float("nan"), 0.2) == ""
+
+
+def second(difference: float, difference_std: float, std: float) -> SecondEstimate:
+    """A second estimate of 20 m/s, the only parameter of its motion."""
+    return SecondEstimate(np.array([20.0]), 20.0, std, difference, difference_std)
+
+
+@pytest.mark.parametrize("difference", [0.0, 0.1, -0.3])
+def test_both_estimates_are_combined_by_what_is_known_of_each(difference: float) -> None:
+    stds = 0.1, 0.05  # m/s, of the photometric fit and of the corners
+    trajectory = SimpleNamespace(mean_speed_gradient=np.ones(1))
+    theta, covariance = np.array([20.0 - difference]), np.array([[stds[0] ** 2]])
+    fit: Any = SimpleNamespace(trajectory=trajectory, theta=theta, covariance=covariance, rig_estimate=None)
+    estimate = second(difference, float(np.hypot(*stds)), stds[1])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("paceline.speed.refinement.point_fit.replace", lambda _, **changed: changed)
+        combined = cast(dict[str, Any], estimate.combined_with(fit))
+    speed, std = float(combined["theta"][0]), float(np.sqrt(combined["covariance"][0, 0]))
+    low, high = sorted([20.0 - difference, 20.0])
+    assert low <= speed <= high
+    assert abs(speed - 20.0) <= 0.5 * abs(difference)  # the corners know it better
+    assert 0.5 * stds[1] < std < max(stds[0], abs(difference))
+    if abs(difference) > 2 * np.hypot(*stds):
+        assert std > stds[0]  # as they contradict each other
+
+
+def test_what_is_reported_is_the_mean_of_both_estimates(measured: Any) -> None:
+    refined, keyframes, m = measured
+    estimate = second_estimate(refined, keyframes)
+    assert estimate is not None
+    photometric = refined.mean_speed()[0]
+    assert min(photometric, estimate.speed) < m.speed < max(photometric, estimate.speed)
+    assert m.corners_difference == pytest.approx(estimate.difference)
+    assert estimate.combined_with(refined).mean_speed()[0] == pytest.approx(m.speed)

@@ -313,7 +313,10 @@ def test_a_patch_grid_divides_its_share_of_the_outline(patches: int, share: tupl
     np.testing.assert_allclose(other.points[:2].mean(1), 0.5)
 
 
-def test_the_speed_is_the_mean_over_patch_grids(rendered: Callable[[Scene], Path]) -> None:
+def test_the_speed_is_the_mean_over_patch_grids(
+    rendered: Callable[[Scene], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("paceline.speed.run.second_estimate", lambda *_: None)  # with which it is combined
     fit, m = fitted(rendered(scene("approaching", 14.0, 1)))
     speeds = fit.trajectory.mean_speed_gradient
     own = [float(speeds @ f.theta) for f in (fit, *map(fit.on_grid, PATCH_GRIDS))]
@@ -843,6 +846,7 @@ def test_the_rig_information_belongs_to_the_reported_motion(
         return seen[-1]
 
     monkeypatch.setattr("paceline.speed.run.refine", refined)
+    monkeypatch.setattr("paceline.speed.run.second_estimate", lambda *_: None)  # with which it is combined
     certain = replace(clip, rig=replace(clip.rig, uncertainty=known))
     (m,) = measure_clip(certain).measurements
     fit, shares = seen[-1].rig_estimate, seen[-1].trajectory.mean_speed_gradient
@@ -853,7 +857,10 @@ def test_the_rig_information_belongs_to_the_reported_motion(
     moved = perturbed_rig(before, fit.offset @ root[root.any(1)])
     np.testing.assert_allclose(seen[-1].trajectory.rig.t, moved.t, atol=1e-12)
     np.testing.assert_allclose(seen[-1].trajectory.rig.left.K, moved.left.K, atol=1e-9)
-    noise, doubt = (float(np.sqrt(shares @ C @ shares)) for C in (fit.covariance, seen[-1].model_covariance))
+    noise, doubt = (
+        float(np.sqrt(shares @ C @ shares))
+        for C in (fit.covariance + seen[-1].matching_covariance, seen[-1].model_covariance)
+    )
     assert m.rig_information.mean_speed_std == pytest.approx(np.hypot(noise, doubt)) and doubt > 0
     wider = stdtrit(seen[-1].dof, 0.975)
     assert wider > 2.1
@@ -870,7 +877,7 @@ def test_images_do_not_determine_the_baseline(rendered: Callable[[Scene], Path],
     rig = replace(perturbed_rig(clip.rig, move), uncertainty=RigUncertainty(covariance=np.outer(move, move)))
     m = measure_clip(replace(clip, rig=rig)).measurements[0]
     true = mean_speed(s, m)
-    assert m.systematic_std == pytest.approx(p * true, rel=0.05)
+    assert m.systematic_std == pytest.approx(p * true, rel=0.07)  # the priors in metres do not scale
     assert m.speed == pytest.approx((1.0 + p) * true, abs=4 * m.random_std)
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from paceline.arrays import Array
 from paceline.documents.loading import Clip, VehicleDocument
@@ -27,8 +26,9 @@ from paceline.speed.refinement.model_selection import RefinedMotion, refine
 from paceline.speed.refinement.path_deviation import deviation_of, heading_innovation
 from paceline.speed.refinement.point_fit import second_estimate
 from paceline.speed.refinement.self_calibration import RigEstimate
+from paceline.speed.refinement.speed_interval import SpeedInterval, noise_quantile
 from paceline.speed.refinement.trajectory import Trajectory
-from paceline.speed.results import CONFIDENCE_LEVEL, Measurement, RigInformation, Synchronisation, Track
+from paceline.speed.results import Measurement, RigInformation, Synchronisation, Track
 from paceline.units import COVERAGE_95
 from paceline.verdicts import Message, message, plural
 
@@ -199,23 +199,23 @@ class VehicleMeasurement:
         )
 
     def _measured(self, refined: RefinedMotion, frames: int) -> Measurement:
-        speed, noise_std, model_std, systematic_std = refined.mean_speed()
-        random_std = float(np.hypot(noise_std, model_std))
-        # Student's distribution for the noise, which is estimated from few frames and patches
-        student = stdtrit(refined.dof, 0.5 + CONFIDENCE_LEVEL / 2)
-        random = float(np.hypot(student * noise_std, COVERAGE_95 * model_std))
-        half_width = float(np.hypot(random, COVERAGE_95 * np.nan_to_num(systematic_std)))
+        interval = SpeedInterval.of(refined)
         reason = (
-            acceptance.check_refined(refined, speed, half_width, self.limits)
+            acceptance.check_refined(refined, interval.speed, interval.half_width, self.limits)
             or acceptance.check_outline(refined, self.vehicle.right, self.configuration.click_sigma, self.limits)
             or acceptance.check_motion(refined)
         )
         second = None if reason else second_estimate(refined, self.keyframes)
         if second is not None:
-            reason = acceptance.check_second_estimate(refined, second, half_width)
+            reason = acceptance.check_second_estimate(refined, second, interval.half_width)
+        if second is not None and not reason:
+            refined = second.combined_with(refined)
+            interval = SpeedInterval.of(refined)
         fit = refined.rig_estimate
-        rig_information = None if reason or fit is None else self._rig_information(refined, fit, student)
-        reason = reason or acceptance.check_interval(speed, half_width, random, self.limits)
+        rig_information = None if reason or fit is None else self._rig_information(refined, fit)
+        reason = reason or acceptance.check_interval(
+            interval.speed, interval.half_width, interval.random_half_width, self.limits
+        )
         speeds, times = refined.speeds()[0], refined.trajectory.frame_times
         acceleration = float((speeds[-1] - speeds[0]) / (times[-1] - times[0]))
         terms = refined.motion_terms
@@ -226,11 +226,11 @@ class VehicleMeasurement:
         return Measurement(
             vehicle=self.vehicle.id,
             track=self._track(refined),
-            speed=speed,
-            speed_lo=speed - half_width,
-            speed_hi=speed + half_width,
-            random_std=random_std,
-            systematic_std=systematic_std,
+            speed=interval.speed,
+            speed_lo=interval.speed - interval.half_width,
+            speed_hi=interval.speed + interval.half_width,
+            random_std=interval.random_std,
+            systematic_std=interval.systematic_std,
             frames=frames,
             verdict="rejected" if reason else "measured",
             reason=str(reason),
@@ -245,18 +245,19 @@ class VehicleMeasurement:
             rig_information=rig_information,
         )
 
-    def _rig_information(self, refined: RefinedMotion, fit: RigEstimate, student: float) -> RigInformation:
-        """What the images determine of the rig; ``student`` is the quantile for the noise's interval."""
+    def _rig_information(self, refined: RefinedMotion, fit: RigEstimate) -> RigInformation:
+        """What the images determine of the rig."""
         mean, gradients = refined.trajectory.mean_speed_gradient, refined.trajectory.speed_jacobian
-        noise, model = (float(np.sqrt(mean @ C @ mean)) for C in (fit.covariance, refined.model_covariance))
+        of_images = fit.covariance + refined.matching_covariance
+        noise, model = (float(np.sqrt(mean @ C @ mean)) for C in (of_images, refined.model_covariance))
         model = float(np.hypot(model, refined.reference_std))
-        variances = np.einsum("fi,ij,fj->f", gradients, fit.covariance + refined.model_covariance, gradients)
+        variances = np.einsum("fi,ij,fj->f", gradients, of_images + refined.model_covariance, gradients)
         return RigInformation(
             offset=fit.offset,
             information=fit.information,
             mean_speed_gradient=mean @ fit.response,
             mean_speed_std=float(np.hypot(noise, model)),
-            half_width=float(np.hypot(student * noise, COVERAGE_95 * model)),
+            half_width=float(np.hypot(noise_quantile(refined.dof) * noise, COVERAGE_95 * model)),
             speed_jacobian=self._by_row(gradients @ fit.response),
             speed_stds=self._by_row(np.sqrt(variances + refined.reference_variances)),
             exposure_stds=refined.trajectory.timing.stds,

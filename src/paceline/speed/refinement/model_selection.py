@@ -13,7 +13,7 @@ from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.photometric_fit import MIN_MODEL_PROBABILITY, PhotometricFit
 from paceline.speed.refinement.reference_point import ReferencePoint
 from paceline.speed.refinement.self_calibration import RigEstimate
-from paceline.speed.refinement.trajectory import MOTION_TERMS, Trajectory, prior
+from paceline.speed.refinement.trajectory import MOTION_TERMS, Prior, Trajectory, prior
 
 MIN_KEYFRAMES = 5  # least keyframes for model selection
 
@@ -26,9 +26,9 @@ class RefinedMotion:
     it is fixed. ``rig_shift_sigma`` (Q,) are the rig's shifts over the standard deviations that they have if the
     calibration is as uncertain as rig.yaml states.
 
-    Three covariances (n, n) of ``theta`` (n,) add up: ``covariance`` from the images, ``model_covariance`` from the
-    choice among motion models, ``systematic_covariance`` from what remains unknown of the calibration (NaN where it is
-    exact).
+    Four covariances (n, n) of ``theta`` (n,) add up: ``covariance`` from the scatter of the images,
+    ``matching_covariance`` from errors that all matches between the views share, ``model_covariance`` from the choice
+    among motion models, ``systematic_covariance`` from what remains unknown of the calibration (NaN where it is exact).
 
     ``residual_rms`` is the median RMS residual of a patch and ``contrast`` the RMS of the texture, both grey levels.
     ``offsets`` (F, 2, 2) px are between each view's image and where the motion puts it; ``explained_share`` (F, 2) is
@@ -39,6 +39,7 @@ class RefinedMotion:
     rig_shift_sigma: Array
     theta: Array
     covariance: Array
+    matching_covariance: Array
     model_covariance: Array
     systematic_covariance: Array
     rig_estimate: RigEstimate | None
@@ -47,6 +48,7 @@ class RefinedMotion:
     offsets: Array
     explained_share: Array
     motion_terms: tuple[str, ...]  # of MOTION_TERMS, chosen by their evidence
+    prior: Prior  # of the chosen model
     deviation_sigma: float  # RMS over the modes of the deviation from the path, in prior standard deviations
     dof: float
     converged: bool
@@ -55,8 +57,7 @@ class RefinedMotion:
     def speeds(self) -> tuple[Array, Array]:
         """Speed (F,) at every frame and its standard deviation (F,), systematic part included where known; m/s."""
         g = self.trajectory.speed_jacobian
-        total = self.covariance + self.model_covariance + np.nan_to_num(self.systematic_covariance)
-        variance = np.einsum("fi,ij,fj->f", g, total, g) + self.reference_variances
+        variance = np.einsum("fi,ij,fj->f", g, self._total_covariance, g) + self.reference_variances
         return g @ self.theta + self.reference.shift * self._speeds_by_width, np.sqrt(variance)
 
     @property
@@ -91,14 +92,19 @@ class RefinedMotion:
         steps = np.diag(self.trajectory.steps)
         ahead, behind = (self.trajectory.accelerations(self.theta + sign * steps) for sign in (1, -1))
         gradient = (ahead - behind) / (2 * self.trajectory.steps[:, None, None])
-        total = self.covariance + self.model_covariance + np.nan_to_num(self.systematic_covariance)
-        variance = np.einsum("nfa,nm,mfa->fa", gradient, total, gradient)
+        variance = np.einsum("nfa,nm,mfa->fa", gradient, self._total_covariance, gradient)
         return self.trajectory.accelerations(self.theta), np.sqrt(variance)
+
+    @property
+    def _total_covariance(self) -> Array:
+        """Covariance (n, n) of ``theta``, systematic part included where known."""
+        random = self.covariance + self.matching_covariance + self.model_covariance
+        return np.asarray(random + np.nan_to_num(self.systematic_covariance))
 
     def mean_speed(self) -> tuple[float, float, float, float]:
         """The mean speed and its standard deviations from noise, model choice and calibration; m/s."""
         g = self.trajectory.mean_speed_gradient
-        covariances = self.covariance, self.model_covariance, self.systematic_covariance
+        covariances = self.covariance + self.matching_covariance, self.model_covariance, self.systematic_covariance
         noise, model, systematic = (float(np.sqrt(g @ C @ g)) for C in covariances)
         speed = float(g @ self.theta) + self.reference.shift * self._speed_by_width
         return speed, noise, float(np.hypot(model, self.reference_std)), systematic
@@ -146,7 +152,7 @@ def refine(
             fit = fit.under(constant)
     chosen, fit = fit, fit.with_view_dependence()
     offset, theta, variance = fit.average_over_grids()
-    reduction, common = variance / fit.mean_speed_variance, fit.matching_covariance
+    reduction = variance / fit.mean_speed_variance
     # Bayesian model averaging: a model that was not chosen keeps its posterior probability
     probabilities = np.exp([0.0, *(evidence - log_odds for evidence, _ in others)])
     probabilities /= probabilities.sum()
@@ -162,14 +168,16 @@ def refine(
         fit.trajectory_with(offset),
         fit.rig_shift_sigma,
         theta,
-        reduction * covariance + common,
+        reduction * covariance,
+        fit.matching_covariance,
         model_covariance,
         fit.systematic_covariance,
-        fit.rig_estimate(offset, reduction * given_rig + common),
+        fit.rig_estimate(offset, reduction * given_rig),
         fit.residual_rms,
         fit.contrast,
         *fit.residual_offsets(),
         terms,
+        fit.prior,
         fit.deviation_sigma,
         fit.dof,
         fit.converged,

@@ -2,12 +2,13 @@
 
 Each corner is a point of the rigid vehicle with a place of its own in space: no plane is assumed and no texture shared.
 What both estimates have in common — the rig, the times, the prior of the motion — is as the photometric fit has it.
+Where they do not contradict each other the result is the mean of both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from paceline.speed.refinement.corner_tracks import CornerTracks, track_corners
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion
 from paceline.speed.refinement.photometric_fit import MAX_LAST_STEP_SIGMA
-from paceline.speed.refinement.trajectory import PARAMETER_INDEX, prior
+from paceline.speed.refinement.trajectory import PARAMETER_INDEX
 
 MIN_TRACKED_VIEWS = 4  # least views of either camera in which a corner is tracked
 MIN_TRACKED_CORNERS = 8
@@ -31,15 +32,41 @@ OUTLINE_PARAMETERS = "log_depth", "normal_yaw", "normal_tilt"  # of the plane: c
 
 @dataclass(frozen=True, eq=False)
 class SecondEstimate:
-    """The mean ``speed`` (m/s) by tracked corners, and its ``difference`` (m/s) from that of the photometric fit.
+    """The motion ``theta`` (n,) by tracked corners and its mean ``speed`` (m/s) with the standard deviation ``std``.
 
-    ``difference_std`` is the standard deviation of the difference, by the scatter over corners, patches and frames,
-    with the rig known, which both have in common.
+    ``difference`` (m/s) is that from the mean speed of the photometric fit, and ``difference_std`` its standard
+    deviation. Both standard deviations are by the scatter over corners, patches and frames, with the rig known and
+    without the errors that all matches between the views share, which both estimates have in common.
     """
 
+    theta: Array
     speed: float
+    std: float
     difference: float
     difference_std: float
+
+    def combined_with(self, refined: RefinedMotion) -> RefinedMotion:
+        """The ``refined`` motion with the mean of both estimates.
+
+        Both are from the same images, so the variance is that of `robust_covariance.mean_of_estimates`. It is enlarged
+        by the square of Birge's ratio (Birge 1932, "The calculation of errors by the method of least squares") where
+        the estimates differ by more than their standard deviations allow.
+        """
+        photometric_variance = self.difference_std**2 - self.std**2
+        (_, share), variance = robust_covariance.mean_of_estimates(
+            np.array([self.speed - self.difference, self.speed]), np.array([photometric_variance, self.std**2])
+        )
+        scale = variance * max(1.0, (self.difference / self.difference_std) ** 2) / photometric_variance
+        rig = refined.rig_estimate
+        gradient = refined.trajectory.mean_speed_gradient
+        # the rest is by noise in the rig's estimate, which is the photometric fit's alone
+        given_rig = min(photometric_variance / float(gradient @ refined.covariance @ gradient), 1.0)
+        return replace(
+            refined,
+            theta=refined.theta + share * (self.theta - refined.theta),
+            covariance=(1.0 + given_rig * (scale - 1.0)) * refined.covariance,
+            rig_estimate=None if rig is None else replace(rig, covariance=scale * rig.covariance),
+        )
 
 
 def second_estimate(refined: RefinedMotion, keyframes: Sequence[Keyframe]) -> SecondEstimate | None:
@@ -60,9 +87,10 @@ def second_estimate(refined: RefinedMotion, keyframes: Sequence[Keyframe]) -> Se
     except np.linalg.LinAlgError:
         return None
     rig = refined.rig_estimate
-    total = covariance + (refined.covariance if rig is None else rig.covariance)
-    speed, photometric = float(gradient @ theta), float(gradient @ refined.theta)
-    return SecondEstimate(speed, speed - photometric, float(np.sqrt(gradient @ total @ gradient)))
+    photometric = refined.covariance if rig is None else rig.covariance
+    speed, std = float(gradient @ theta), float(np.sqrt(gradient @ covariance @ gradient))
+    difference_std = float(np.sqrt(gradient @ (covariance + photometric) @ gradient))
+    return SecondEstimate(theta, speed, std, speed - float(gradient @ refined.theta), difference_std)
 
 
 class PointFit:
@@ -70,8 +98,7 @@ class PointFit:
 
     def __init__(self, refined: RefinedMotion, tracks: CornerTracks) -> None:
         self.trajectory, self.tracks = refined.trajectory, tracks
-        speed = float(self.trajectory.mean_speed_gradient @ refined.theta)
-        p = prior(self.trajectory, speed, refined.motion_terms)
+        p = refined.prior
         free = ~np.isin(p.free, [PARAMETER_INDEX[name] for name in OUTLINE_PARAMETERS])
         self._free, self._mean, self._information = p.free[free], p.mean, p.information[np.ix_(free, free)]
         self.theta = refined.theta.copy()

@@ -23,7 +23,7 @@ class RigEstimate:
 
     ``offset`` (Q,) is the rig's offset at which the motion parameters are, ``information`` (Q, Q) what the images add
     to the prior, ``response`` (n, Q) the derivative of the motion parameters by a further offset, and ``covariance``
-    (n, n) theirs with the rig known.
+    (n, n) theirs with the rig known, by the scatter of the images.
     """
 
     offset: Array
