@@ -35,6 +35,7 @@ BEGINNINGS = {
     "methods_disagree": "estimates disagree",
     "path_deviation_implausible": "implausible",
     "outline_inconsistent": "outline",
+    "on_the_road_surface": "outline",
     "appearance_lost_from_start": "unlike itself",
     "left_image_early": "too few frames",
     "lost_early": "too few frames",

@@ -162,6 +162,11 @@ _REJECTION_ROWS = {
         f"{_SAME_PART} Corners should be right to half a pixel; `click_sigma` of the configuration states another "
         "precision.",
     ),
+    "on_the_road_surface": (
+        "outline: what it shows stands still and lies flat on the road (log odds {log_odds:.0f} against an upright "
+        "face, limit {max_log_odds:g})",
+        "Outline the front, the rear or a side of a vehicle, the same part in both views.",
+    ),
     "appearance_lost_from_start": (
         "unlike itself: only {similar} of {frames} frames look like the outlined region (at least {min_frames} needed)",
         "Check the outline in both views; state about how fast the vehicle drives with `speed`, or outline it where it "

@@ -5,13 +5,18 @@ They return the code of a rejection; its text and advice are in `paceline.verdic
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from paceline.speed.configuration import DEFAULT_LIMITS, Limits
+from paceline.speed.geometry.paths import Path
+from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion
 from paceline.speed.refinement.point_fit import SecondEstimate
+from paceline.speed.refinement.road_hypothesis import log_odds_of_road
 from paceline.speed.results import Measurement
 from paceline.verdicts import NO_REASON, Message, message
 
@@ -21,13 +26,15 @@ MIN_TRACK_CONTRAST_GREY = 5.0  # grey levels; below, the background may have bee
 FULL_BRAKING_MPS2, FULL_THROTTLE_MPS2 = 9.0, 6.0  # at the limits of tyres and engines
 FULL_TURNING_MPS2 = 9.81  # sideways, with a friction coefficient of 1
 MAX_DISAGREEMENT_CHANCE = 0.005  # probability that both estimates of a right speed differ by more than is accepted
+MAX_STANDING_TRAVEL_M = 0.3  # of what is taken to stand still, m: less than a vehicle drives between two pictures
+MAX_LOG_ODDS_OF_ROAD = 5.0  # that an outline shows the road: prior odds of 150 to 1 that an operator outlines a vehicle
 CERTAINTY_SIGMA = 1.645  # standard deviations beyond a limit at which it is exceeded with a probability of 95 %
 
 
 def check_refined(refined: RefinedMotion, speed: float, half_width: float, limits: Limits = DEFAULT_LIMITS) -> Message:
     """The reason to reject ``speed`` (m/s) with its half-width ``half_width``; empty where all tests pass.
 
-    `check_outline`, `check_second_estimate` and `check_interval` are applied apart.
+    `check_surface`, `check_outline`, `check_second_estimate` and `check_interval` are applied apart.
     """
     if not np.isfinite([speed, half_width]).all():
         return message("no_motion_fits", test="the fitted speed is not a finite number")
@@ -84,6 +91,19 @@ def check_motion(refined: RefinedMotion) -> Message:
                 "motion_implausible", motion=motion, acceleration=value[frame], std=std[frame], max_acceleration=limit
             )
     return NO_REASON
+
+
+def check_surface(refined: RefinedMotion, keyframes: Sequence[Keyframe], path: Path | None) -> Message:
+    """The reason to reject what stands still, seen in ``keyframes``, where it is the road under a ``path`` and no
+    vehicle; else empty."""
+    times = refined.trajectory.frame_times
+    travel = abs(refined.mean_speed()[0]) * float(times[-1] - times[0])
+    if path is None or travel > MAX_STANDING_TRAVEL_M:
+        return NO_REASON
+    log_odds = log_odds_of_road(refined, keyframes, path)
+    if log_odds <= MAX_LOG_ODDS_OF_ROAD:
+        return NO_REASON
+    return message("on_the_road_surface", log_odds=log_odds, max_log_odds=MAX_LOG_ODDS_OF_ROAD)
 
 
 def check_second_estimate(refined: RefinedMotion, second: SecondEstimate, half_width: float) -> Message:

@@ -201,7 +201,8 @@ class VehicleMeasurement:
     def _measured(self, refined: RefinedMotion, frames: int) -> Measurement:
         interval = SpeedInterval.of(refined)
         reason = (
-            acceptance.check_refined(refined, interval.speed, interval.half_width, self.limits)
+            acceptance.check_surface(refined, self.keyframes, self.path)
+            or acceptance.check_refined(refined, interval.speed, interval.half_width, self.limits)
             or acceptance.check_outline(refined, self.vehicle.right, self.configuration.click_sigma, self.limits)
             or acceptance.check_motion(refined)
         )

@@ -1,0 +1,75 @@
+"""Whether what stands still in an outline is a vehicle or the road itself: which plane carries one view onto the other.
+
+The face of a vehicle is nearly upright, so its disparity is nearly the same everywhere; on the road it grows downwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import cv2
+import numpy as np
+
+from paceline.arrays import Array
+from paceline.cameras import StereoRig
+from paceline.speed.geometry.paths import Path
+from paceline.speed.refinement.keyframes import Keyframe
+from paceline.speed.refinement.model_selection import RefinedMotion
+from paceline.speed.refinement.pyramid import BLUR_CORRELATED_SAMPLES, areas
+
+GRID = 48, 32  # samples across and down the outline
+FACE_TILTS_RAD = np.radians([-30.0, -15.0, 0.0, 15.0, 30.0])  # of faces from the fitted one, as of windscreens
+DISPARITY_ERRORS_PX = np.linspace(-3.0, 3.0, 25)  # of a plane as a whole, by the clicks, the path and the calibration
+
+
+def log_odds_of_road(refined: RefinedMotion, keyframes: Sequence[Keyframe], path: Path) -> float:
+    """Log likelihood ratio of the road under a ``path``, over a vehicle's face, being what the outline shows in all
+    ``keyframes``, in which it stands still.
+
+    Both are planes with an unknown error of their disparity. The residuals of their best ones are compared, as many of
+    them as are independent.
+    """
+    trajectory = refined.trajectory
+    _, _, normals, _ = trajectory.motion(refined.theta)
+    normal = np.asarray(normals).reshape(-1, 3)[0]
+    quad = trajectory.quads(refined.theta)[0, 0]
+    centre = trajectory.places(refined.theta, np.array([[0.5, 0.5]]))[0]
+    ground = path.at(np.array(path.nearest(centre)))
+    down = path.frames(np.array(path.nearest(centre)))[:, 2]
+    faces = [(np.cos(tilt) * normal + np.sin(tilt) * down, centre) for tilt in FACE_TILTS_RAD]
+    of_face, of_road = (
+        min(_unexplained(trajectory.rig, keyframes, quad, planes), default=1.0) for planes in (faces, [(down, ground)])
+    )
+    independent = float(areas(quad)) / BLUR_CORRELATED_SAMPLES
+    return 0.5 * independent * float(np.log(of_face / of_road))
+
+
+def _unexplained(
+    rig: StereoRig, keyframes: Sequence[Keyframe], quad: Array, planes: list[tuple[Array, Array]]
+) -> Iterator[float]:
+    """The share of the variance in the outline ``quad`` (4, 2) px of the left view that the right one does not explain,
+    by each of the ``planes`` (normal, point) with each of the errors of disparity."""
+    H = cv2.getPerspectiveTransform(np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32), quad.astype(np.float32))
+    across, down = ((np.arange(n) + 0.5) / n for n in GRID)
+    square = np.stack([*np.meshgrid(across, down)], axis=-1).reshape(1, -1, 2)
+    pixels = cv2.perspectiveTransform(square, H)[0]
+    rays = rig.left.rays(pixels)
+    left = _mean_sampled(keyframes, 0, pixels)
+    along = rig.t[:2] / np.linalg.norm(rig.t[:2])
+    for normal, point in planes:
+        depths = (normal @ point) / (rays @ normal)
+        if not (depths > 0).all():
+            continue
+        places = rig.project(rays * depths[:, None])[1]
+        for error in DISPARITY_ERRORS_PX:
+            right = _mean_sampled(keyframes, 1, places + error * along)
+            yield 1.0 - max(float(np.corrcoef(left, right)[0, 1]), 0.0) ** 2
+
+
+def _mean_sampled(keyframes: Sequence[Keyframe], side: int, pixels: Array) -> Array:
+    """The mean grey values (N,) of one view at ``pixels`` (N, 2) over all ``keyframes``."""
+    total = np.zeros(len(pixels))
+    for k in keyframes:
+        x, y = (pixels - k.origins[side]).astype(np.float32).T
+        total += cv2.remap(k.crops[side], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()
+    return total / len(keyframes)
