@@ -21,10 +21,10 @@ MPH = 0.44704  # m/s
 
 
 def variances(columns: int, left: int, right: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of images of a textured vehicle between ``left`` and ``right`` columns of something else."""
-    image, residual = np.full(columns, 100.0), np.full(columns, 0.5)
+    """Of images of a textured vehicle between ``left`` and ``right`` columns of something else, in two rows."""
+    image, residual = np.full((2, columns), 100.0), np.full((2, columns), 0.5)
     for side in (slice(0, left), slice(columns - right, columns)):
-        image[side], residual[side] = 6.0, 3.0
+        image[:, side], residual[:, side] = 6.0, 3.0
     return image, residual
 
 
@@ -50,19 +50,27 @@ def test_a_vehicle_within_the_outline_is_known_to_a_column() -> None:
 
 def test_a_part_of_little_contrast_belongs_to_the_vehicle() -> None:
     """As in the dark, where noise hides it."""
-    image, residual = np.full(6, 2.5), np.full(6, 0.1)
-    image[0], residual[0] = 0.4, 0.1
+    image, residual = np.full((1, 6), 2.5), np.full((1, 6), 0.1)
+    image[0, 0], residual[0, 0] = 0.4, 0.1
     assert reference_point(image, residual).shift == 0.0
 
 
 def test_a_plain_road_is_beside_the_vehicle() -> None:
     image, residual = variances(6, 2, 0)
-    image[:2] = residual[:2] = 0.5  # noise
+    image[:, :2] = residual[:, :2] = 0.5  # noise
     assert reference_point(image, residual).beside == (2.5 / 6, 0.0)
 
 
+def test_a_side_of_which_a_part_moves_with_the_vehicle_belongs_to_it() -> None:
+    """As of a van whose dark pillar hides in the background above its bright sill."""
+    image, residual = variances(5, 0, 1)
+    assert reference_point(image, residual).beside == (0.0, 0.3)
+    image[1, -1], residual[1, -1] = 28.0, 1.0
+    assert reference_point(image, residual).beside == (0.0, 0.0)
+
+
 def test_nothing_is_said_of_what_does_not_move_as_fitted() -> None:
-    assert reference_point(np.full(5, 3.0), np.full(5, 2.0)).shift == 0.0
+    assert reference_point(np.full((1, 5), 3.0), np.full((1, 5), 2.0)).shift == 0.0
 
 
 @pytest.mark.parametrize("seed, aside", slow_after(0, [(3, 0.3), (3, -0.3), (5, 0.35), (5, -0.35)]))

@@ -448,7 +448,7 @@ class PhotometricFit:
     @property
     def reference_point(self) -> ReferencePoint:
         """Where in the outline the middle of the vehicle is."""
-        return reference_point(*self.levels[0].variances_by_column())
+        return reference_point(*self.levels[0].patch_variances())
 
     @property
     def contrast(self) -> float:

@@ -132,11 +132,11 @@ class PyramidLevel:
         unexplained = self.residual_variance.sum(1) / np.maximum(self.image_variance.sum(1), 1e-9)
         return np.asarray(offsets), np.asarray(1.0 - unexplained)
 
-    def variances_by_column(self) -> tuple[Array, Array]:
-        """The variance of the images (columns,) in the columns of patches from left to right, and the part of it that
-        the motion does not explain (columns,), both in the median view."""
+    def patch_variances(self) -> tuple[Array, Array]:
+        """The variance of the images (rows, columns) in the patches, and the part of it that the motion does not
+        explain (rows, columns), both in the median view."""
         image, residual = (np.median(v, axis=0) for v in (self.image_variance, self.residual_variance))
-        return image.reshape(-1, self.columns).mean(0), residual.reshape(-1, self.columns).mean(0)
+        return image.reshape(-1, self.columns), residual.reshape(-1, self.columns)
 
     @property
     def _patch_weights(self) -> Array:

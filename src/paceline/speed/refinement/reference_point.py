@@ -40,14 +40,21 @@ class ReferencePoint:
     beside: tuple[float, float] = (0.0, 0.0)
 
 
-def reference_point(image_variance: Array, residual_variance: Array) -> ReferencePoint:
-    """The middle of the vehicle, from the variance of the images (columns,) and the part of it that the motion does not
-    explain (columns,), in the columns of an outline from left to right."""
+def reference_point(image_variances: Array, residual_variances: Array) -> ReferencePoint:
+    """The middle of the vehicle, from the variance of the images (rows, columns) and the part of it that the motion
+    does not explain (rows, columns), in the patches of an outline.
+
+    A column in which any patch moves with the vehicle belongs to it: what is beside a rounded or a dark side of the
+    vehicle, in the rest of that column, does not end the vehicle.
+    """
+    image_variance, residual_variance = image_variances.mean(0), residual_variances.mean(0)
     unexplained = residual_variance / np.maximum(image_variance, 1e-9)
     by_noise = MAX_COLUMN_UNEXPLAINED_RATIO * float(np.quantile(unexplained, 0.25, method="lower"))
     limits = np.full(len(unexplained), MAX_INNER_UNEXPLAINED_SHARE)
     limits[[0, -1]] = MAX_OUTER_UNEXPLAINED_SHARE
-    moves = unexplained <= np.maximum(limits, by_noise)
+    patch_moves = residual_variances <= MAX_INNER_UNEXPLAINED_SHARE * image_variances
+    patch_moves &= image_variances >= MAX_PLAIN_RATIO * np.median(image_variances)
+    moves = (unexplained <= np.maximum(limits, by_noise)) | patch_moves.any(0)
     is_larger = residual_variance > MIN_RESIDUAL_RATIO * np.quantile(residual_variance, 0.25, method="lower")
     is_plain = image_variance < MAX_PLAIN_RATIO * np.median(image_variance)
     other = ~moves & (is_larger | is_plain)
