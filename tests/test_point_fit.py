@@ -17,7 +17,8 @@ from paceline.speed.measurement import measure_clip
 from paceline.speed.refinement.corner_tracks import CornerTracks, _Windows
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion
-from paceline.speed.refinement.point_fit import PointFit, SecondEstimate, second_estimate
+from paceline.speed.refinement.point_fit import ESTIMATE_CORRELATION, PointFit, SecondEstimate, second_estimate
+from paceline.speed.refinement.trajectory import Prior, Trajectory
 from paceline.speed.results import Measurement
 from paceline.speed.run import VehicleMeasurement
 
@@ -159,26 +160,47 @@ def test_a_difference_counts_beyond_the_interval_and_both_covariances() -> None:
 
 def second(difference: float, difference_std: float, std: float) -> SecondEstimate:
     """A second estimate of 20 m/s, the only parameter of its motion."""
-    return SecondEstimate(np.array([20.0]), 20.0, std, difference, difference_std)
+    return SecondEstimate(np.array([20.0]), np.array([[std**2]]), 20.0, difference, difference_std)
 
 
-@pytest.mark.parametrize("difference", [0.0, 0.1, -0.3])
-def test_both_estimates_are_combined_by_what_is_known_of_each(difference: float) -> None:
-    stds = 0.1, 0.05  # m/s, of the photometric fit and of the corners
-    trajectory = SimpleNamespace(mean_speed_gradient=np.ones(1))
+def combined(difference: float, stds: tuple[float, float]) -> tuple[float, float]:
+    """The speed and its standard deviation of estimates of 20 m/s less the ``difference``, by the photometric fit, and
+    of 20 m/s by corners, with these ``stds``."""
     theta, covariance = np.array([20.0 - difference]), np.array([[stds[0] ** 2]])
-    fit: Any = SimpleNamespace(trajectory=trajectory, theta=theta, covariance=covariance, rig_estimate=None)
-    estimate = second(difference, float(np.hypot(*stds)), stds[1])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("paceline.speed.refinement.point_fit.replace", lambda _, **changed: changed)
-        combined = cast(dict[str, Any], estimate.combined_with(fit))
-    speed, std = float(combined["theta"][0]), float(np.sqrt(combined["covariance"][0, 0]))
-    low, high = sorted([20.0 - difference, 20.0])
-    assert low <= speed <= high
-    assert abs(speed - 20.0) <= 0.5 * abs(difference)  # the corners know it better
-    assert 0.5 * stds[1] < std < max(stds[0], abs(difference))
-    if abs(difference) > 2 * np.hypot(*stds):
-        assert std > stds[0]  # as they contradict each other
+    zeros, trajectory = np.zeros((1, 1)), cast(Trajectory, SimpleNamespace(mean_speed_gradient=np.ones(1)))
+    images = 1.0, 10.0, np.zeros((9, 2, 2)), np.ones((9, 2)), (), cast(Prior, None), 0.0, 9.0, True
+    fit = RefinedMotion(trajectory, np.zeros(1), theta, covariance, zeros, zeros, zeros, None, *images)
+    result = second(difference, float(np.hypot(*stds)), stds[1]).combined_with(fit)
+    return float(result.theta[0]), float(np.sqrt(result.covariance[0, 0]))
+
+
+def test_equal_estimates_share_half_of_the_speed() -> None:
+    speed, std = combined(0.05, (0.1, 0.1))
+    assert speed == pytest.approx(19.975) and std == pytest.approx(0.1 * np.sqrt((1 + ESTIMATE_CORRELATION) / 2))
+
+
+@pytest.mark.parametrize("ratio", [3.0, 10.0, 100.0])
+def test_a_poor_second_estimate_spoils_nothing(ratio: float) -> None:
+    speed, std = combined(0.1, (0.1, 0.1 * ratio))
+    assert abs(speed - 19.9) < 0.1 / ratio and std < 0.12
+    speed, std = combined(0.1, (0.1 * ratio, 0.1))
+    assert abs(speed - 20.0) < 0.1 / ratio and std < 0.12
+
+
+def test_estimates_that_differ_make_the_interval_wider() -> None:
+    stds = [combined(difference, (0.1, 0.1))[1] for difference in (0.0, 0.09, 0.2, 0.4)]
+    assert stds[0] == stds[1] < stds[2] < stds[3]
+    assert stds[3] > 0.2  # half of the difference
+
+
+def test_intervals_of_the_mean_hold_for_correlated_estimates() -> None:
+    rng = np.random.default_rng(2)
+    stds = 0.1, 0.06
+    common = ESTIMATE_CORRELATION * stds[0] * stds[1]
+    errors = rng.multivariate_normal([0.0, 0.0], [[stds[0] ** 2, common], [common, stds[1] ** 2]], 1000)
+    found = np.array([combined(corners - photometric, stds) for photometric, corners in errors])
+    z = (found[:, 0] - 20.0 + errors[:, 1]) / found[:, 1]
+    assert 0.7 < np.sqrt(np.mean(z**2)) < 1.03  # Birge's ratio only widens
 
 
 def test_what_is_reported_is_the_mean_of_both_estimates(measured: Any) -> None:

@@ -58,7 +58,9 @@ def test_a_vehicle_that_stands_is_measured(clip: Clip) -> None:
 
 
 def test_an_outline_without_a_path_is_not_compared_with_a_road(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("paceline.speed.acceptance.log_odds_of_road", lambda *_: pytest.fail("it has been compared"))
+    monkeypatch.setattr(
+        "paceline.speed.acceptance.log_likelihood_ratio_of_road", lambda *_: pytest.fail("it has been compared")
+    )
     (vehicle,) = clip.vehicles
     (m,) = measure_clip(replace(clip, vehicles=[replace(vehicle, path=None)])).measurements
     assert m.reason_code != "on_the_road_surface"

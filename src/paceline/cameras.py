@@ -23,7 +23,7 @@ _TO_CONVERGENCE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10) 
 
 
 def cubic_sampling_places(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The coordinates at which OpenCV's bicubic interpolation has the grey values of ``pixels``.
+    """The coordinates at which OpenCV's bicubic interpolation has the grey values of ``pixels`` of a smooth picture.
 
     Its kernel (Keys 1981 with a = −0.75, for which only a = −0.5 is exact) takes a grey-value ramp at the coordinate s
     between two pixels, 0 ≤ s ≤ 1, from s + s (1 − s) (1 − 2 s) / 2, up to 0.05 px beside it; this is the inverse.

@@ -163,8 +163,8 @@ _REJECTION_ROWS = {
         "precision.",
     ),
     "on_the_road_surface": (
-        "outline: what it shows stands still and lies flat on the road (log odds {log_odds:.0f} against an upright "
-        "face, limit {max_log_odds:g})",
+        "outline: what it shows stands still and lies flat on the road (log likelihood ratio {log_ratio:.0f} against "
+        "an upright face, limit {max_log_ratio:g})",
         "Outline the front, the rear or a side of a vehicle, the same part in both views.",
     ),
     "appearance_lost_from_start": (

@@ -16,7 +16,7 @@ from paceline.speed.geometry.paths import Path
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion
 from paceline.speed.refinement.point_fit import SecondEstimate
-from paceline.speed.refinement.road_hypothesis import log_odds_of_road
+from paceline.speed.refinement.road_hypothesis import log_likelihood_ratio_of_road
 from paceline.speed.results import Measurement
 from paceline.verdicts import NO_REASON, Message, message
 
@@ -26,8 +26,8 @@ MIN_TRACK_CONTRAST_GREY = 5.0  # grey levels; below, the background may have bee
 FULL_BRAKING_MPS2, FULL_THROTTLE_MPS2 = 9.0, 6.0  # at the limits of tyres and engines
 FULL_TURNING_MPS2 = 9.81  # sideways, with a friction coefficient of 1
 MAX_DISAGREEMENT_CHANCE = 0.005  # probability that both estimates of a right speed differ by more than is accepted
-MAX_STANDING_TRAVEL_M = 0.3  # of what is taken to stand still, m: less than a vehicle drives between two pictures
-MAX_LOG_ODDS_OF_ROAD = 5.0  # that an outline shows the road: prior odds of 150 to 1 that an operator outlines a vehicle
+MAX_STANDING_TRAVEL_M = 0.3  # in the whole track, of what is taken to stand still
+MAX_LOG_RATIO_OF_ROAD = 5.0  # log likelihood ratio of the road over a vehicle: prior odds of 150 to 1 for the vehicle
 CERTAINTY_SIGMA = 1.645  # standard deviations beyond a limit at which it is exceeded with a probability of 95 %
 
 
@@ -98,12 +98,12 @@ def check_surface(refined: RefinedMotion, keyframes: Sequence[Keyframe], path: P
     vehicle; else empty."""
     times = refined.trajectory.frame_times
     travel = abs(refined.mean_speed()[0]) * float(times[-1] - times[0])
-    if path is None or travel > MAX_STANDING_TRAVEL_M:
+    if path is None or not travel <= MAX_STANDING_TRAVEL_M:
         return NO_REASON
-    log_odds = log_odds_of_road(refined, keyframes, path)
-    if log_odds <= MAX_LOG_ODDS_OF_ROAD:
+    log_ratio = log_likelihood_ratio_of_road(refined, keyframes, path)
+    if log_ratio <= MAX_LOG_RATIO_OF_ROAD:
         return NO_REASON
-    return message("on_the_road_surface", log_odds=log_odds, max_log_odds=MAX_LOG_ODDS_OF_ROAD)
+    return message("on_the_road_surface", log_ratio=log_ratio, max_log_ratio=MAX_LOG_RATIO_OF_ROAD)
 
 
 def check_second_estimate(refined: RefinedMotion, second: SecondEstimate, half_width: float) -> Message:

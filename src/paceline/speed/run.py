@@ -209,9 +209,9 @@ class VehicleMeasurement:
         second = None if reason else second_estimate(refined, self.keyframes)
         if second is not None:
             reason = acceptance.check_second_estimate(refined, second, interval.half_width)
-        if second is not None and not reason:
-            refined = second.combined_with(refined)
-            interval = SpeedInterval.of(refined)
+            if not reason:
+                refined = second.combined_with(refined)
+                interval = SpeedInterval.of(refined)
         fit = refined.rig_estimate
         rig_information = None if reason or fit is None else self._rig_information(refined, fit)
         reason = reason or acceptance.check_interval(

@@ -27,45 +27,52 @@ CORNER_PLACE_STD_M = 10.0  # prior standard deviation of a corner's place: it de
 MEDIAN_ERROR_LENGTH = np.sqrt(2 * np.log(2))  # median length of a plane error of standard deviation 1 along each axis
 SCALE_ESTIMATION_STEPS, POINT_FIT_STEPS = 4, 8  # Gauss–Newton steps in which the errors' scale is estimated, and in all
 CONVERGED_POINT_STEP_SIGMA = 0.05  # largest step of a motion parameter, in its standard deviations, at the end
+# Correlation of the errors of both estimates, which are from the same pixels: on drawn clips their differences have half
+# the variance that independent ones would have
+ESTIMATE_CORRELATION = 0.5
 OUTLINE_PARAMETERS = "log_depth", "normal_yaw", "normal_tilt"  # of the plane: corners have places of their own
 
 
 @dataclass(frozen=True, eq=False)
 class SecondEstimate:
-    """The motion ``theta`` (n,) by tracked corners and its mean ``speed`` (m/s) with the standard deviation ``std``.
+    """The motion ``theta`` (n,) by tracked corners, its ``covariance`` (n, n) and its mean ``speed`` (m/s).
 
-    ``difference`` (m/s) is that from the mean speed of the photometric fit, and ``difference_std`` its standard
-    deviation. Both standard deviations are by the scatter over corners, patches and frames, with the rig known and
-    without the errors that all matches between the views share, which both estimates have in common.
+    ``difference`` (m/s) is that from the mean speed of the photometric fit; its standard deviation ``difference_std``
+    takes both estimates as independent. Covariances are by the scatter over corners, patches and frames, with the rig
+    known and without the errors that all matches between the views share, which both estimates have in common.
     """
 
     theta: Array
+    covariance: Array
     speed: float
-    std: float
     difference: float
     difference_std: float
 
     def combined_with(self, refined: RefinedMotion) -> RefinedMotion:
-        """The ``refined`` motion with the mean of both estimates.
+        """The ``refined`` motion with the mean of both estimates; what it says of the images is the photometric fit's.
 
-        Both are from the same images, so the variance is that of `robust_covariance.mean_of_estimates`. It is enlarged
-        by the square of Birge's ratio (Birge 1932, "The calculation of errors by the method of least squares") where
-        the estimates differ by more than their standard deviations allow.
+        Weights are inverse to the variances of the mean speeds. As few clusters determine these, that of the mean by
+        them is added to each, which draws the weights together. The variance of the result is enlarged by the square
+        of Birge's ratio (Birge 1932, "The calculation of errors by the method of least squares") where the estimates
+        differ by more than their standard deviations.
         """
-        photometric_variance = self.difference_std**2 - self.std**2
-        (_, share), variance = robust_covariance.mean_of_estimates(
-            np.array([self.speed - self.difference, self.speed]), np.array([photometric_variance, self.std**2])
-        )
-        scale = variance * max(1.0, (self.difference / self.difference_std) ** 2) / photometric_variance
-        rig = refined.rig_estimate
-        gradient = refined.trajectory.mean_speed_gradient
-        # the rest is by noise in the rig's estimate, which is the photometric fit's alone
-        given_rig = min(photometric_variance / float(gradient @ refined.covariance @ gradient), 1.0)
+        gradient, rig = refined.trajectory.mean_speed_gradient, refined.rig_estimate
+        photometric = refined.covariance if rig is None else rig.covariance
+        variances = np.array([gradient @ C @ gradient for C in (photometric, self.covariance)])
+        common = ESTIMATE_CORRELATION * np.sqrt(variances.prod())
+        weights = 1.0 / (variances + 1.0 / (1.0 / variances).sum())
+        weights /= weights.sum()
+        birge_squared = max(1.0, self.difference**2 / float(variances.sum() - 2.0 * common))
+        variance = birge_squared * float(weights**2 @ variances + 2.0 * weights.prod() * common)
+        mixed = weights[0] * photometric + weights[1] * self.covariance
+        given_rig = variance / float(weights @ variances) * mixed
+        # what is by noise in the rig's estimate, which is the photometric fit's alone, stays
+        by_rig = max(1.0 - float(variances[0] / (gradient @ refined.covariance @ gradient)), 0.0)
         return replace(
             refined,
-            theta=refined.theta + share * (self.theta - refined.theta),
-            covariance=(1.0 + given_rig * (scale - 1.0)) * refined.covariance,
-            rig_estimate=None if rig is None else replace(rig, covariance=scale * rig.covariance),
+            theta=refined.theta + weights[1] * (self.theta - refined.theta),
+            covariance=given_rig + by_rig * refined.covariance,
+            rig_estimate=None if rig is None else replace(rig, covariance=given_rig),
         )
 
 
@@ -86,11 +93,13 @@ def second_estimate(refined: RefinedMotion, keyframes: Sequence[Keyframe]) -> Se
         theta, covariance = PointFit(refined, chosen).solution()
     except np.linalg.LinAlgError:
         return None
-    rig = refined.rig_estimate
+    rig, speed = refined.rig_estimate, float(gradient @ theta)
     photometric = refined.covariance if rig is None else rig.covariance
-    speed, std = float(gradient @ theta), float(np.sqrt(gradient @ covariance @ gradient))
-    difference_std = float(np.sqrt(gradient @ (covariance + photometric) @ gradient))
-    return SecondEstimate(theta, speed, std, speed - float(gradient @ refined.theta), difference_std)
+    variance = float(gradient @ covariance @ gradient)
+    if not (np.isfinite(theta).all() and np.isfinite(covariance).all() and variance > 0.0):
+        return None
+    difference_std = float(np.sqrt(variance + gradient @ photometric @ gradient))
+    return SecondEstimate(theta, covariance, speed, speed - float(gradient @ refined.theta), difference_std)
 
 
 class PointFit:

@@ -19,32 +19,34 @@ from paceline.speed.refinement.pyramid import BLUR_CORRELATED_SAMPLES, areas
 
 GRID = 48, 32  # samples across and down the outline
 FACE_TILTS_RAD = np.radians([-30.0, -15.0, 0.0, 15.0, 30.0])  # of faces from the fitted one, as of windscreens
+ROAD_ROLLS_RAD = np.radians([-4.0, 0.0, 4.0])  # of a road across its path, by its banking and the camera's own roll
+MIN_UNEXPLAINED_SHARE = 1e-4  # of the variance: that of two pictures with hardly any noise
 DISPARITY_ERRORS_PX = np.linspace(-3.0, 3.0, 25)  # of a plane as a whole, by the clicks, the path and the calibration
 
 
-def log_odds_of_road(refined: RefinedMotion, keyframes: Sequence[Keyframe], path: Path) -> float:
+def log_likelihood_ratio_of_road(refined: RefinedMotion, keyframes: Sequence[Keyframe], path: Path) -> float:
     """Log likelihood ratio of the road under a ``path``, over a vehicle's face, being what the outline shows in all
-    ``keyframes``, in which it stands still.
+    ``keyframes``, in which it stands still; 0 where no view shows it wholly.
 
-    Both are planes with an unknown error of their disparity. The residuals of their best ones are compared, as many of
-    them as are independent.
+    Both are planes, with an unknown error of their disparity and, the road, of its roll: the camera need not be level.
+    The residuals of the best plane of each are compared, as many of them as are independent.
     """
     trajectory = refined.trajectory
-    _, _, normals, _ = trajectory.motion(refined.theta)
-    normal = np.asarray(normals).reshape(-1, 3)[0]
+    normal = trajectory.motion(refined.theta)[2].reshape(-1, 3)[0]
     quad = trajectory.quads(refined.theta)[0, 0]
     centre = trajectory.places(refined.theta, np.array([[0.5, 0.5]]))[0]
-    ground = path.at(np.array(path.nearest(centre)))
-    down = path.frames(np.array(path.nearest(centre)))[:, 2]
+    s = np.array(path.nearest(centre))
+    ground, (_, across, down) = path.at(s), path.frames(s).T
     faces = [(np.cos(tilt) * normal + np.sin(tilt) * down, centre) for tilt in FACE_TILTS_RAD]
+    roads = [(np.cos(roll) * down + np.sin(roll) * across, ground) for roll in ROAD_ROLLS_RAD]
     of_face, of_road = (
-        min(_unexplained(trajectory.rig, keyframes, quad, planes), default=1.0) for planes in (faces, [(down, ground)])
+        min(_unexplained_shares(trajectory.rig, keyframes, quad, planes), default=1.0) for planes in (faces, roads)
     )
-    independent = float(areas(quad)) / BLUR_CORRELATED_SAMPLES
+    independent = min(float(areas(quad)) / BLUR_CORRELATED_SAMPLES, float(np.prod(GRID)))
     return 0.5 * independent * float(np.log(of_face / of_road))
 
 
-def _unexplained(
+def _unexplained_shares(
     rig: StereoRig, keyframes: Sequence[Keyframe], quad: Array, planes: list[tuple[Array, Array]]
 ) -> Iterator[float]:
     """The share of the variance in the outline ``quad`` (4, 2) px of the left view that the right one does not explain,
@@ -58,18 +60,23 @@ def _unexplained(
     along = rig.t[:2] / np.linalg.norm(rig.t[:2])
     for normal, point in planes:
         depths = (normal @ point) / (rays @ normal)
-        if not (depths > 0).all():
+        if left is None or not (depths > 0).all():
             continue
         places = rig.project(rays * depths[:, None])[1]
         for error in DISPARITY_ERRORS_PX:
             right = _mean_sampled(keyframes, 1, places + error * along)
-            yield 1.0 - max(float(np.corrcoef(left, right)[0, 1]), 0.0) ** 2
+            if right is not None and min(left.std(), right.std()) > 0.0:
+                correlation = max(float(np.corrcoef(left, right)[0, 1]), 0.0)
+                yield max(1.0 - correlation**2, MIN_UNEXPLAINED_SHARE)
 
 
-def _mean_sampled(keyframes: Sequence[Keyframe], side: int, pixels: Array) -> Array:
-    """The mean grey values (N,) of one view at ``pixels`` (N, 2) over all ``keyframes``."""
-    total = np.zeros(len(pixels))
+def _mean_sampled(keyframes: Sequence[Keyframe], side: int, pixels: Array) -> Array | None:
+    """The mean grey values (N,) of one view at ``pixels`` (N, 2), over the ``keyframes`` whose crops hold them all;
+    None where none does."""
+    values = []
     for k in keyframes:
-        x, y = (pixels - k.origins[side]).astype(np.float32).T
-        total += cv2.remap(k.crops[side], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()
-    return total / len(keyframes)
+        place, (height, width) = pixels - k.origins[side], k.crops[side].shape
+        if k.crops[side].size and (place >= 0).all() and (place <= (width - 1, height - 1)).all():
+            x, y = place.astype(np.float32).T
+            values.append(cv2.remap(k.crops[side], x, y, cv2.INTER_LINEAR).ravel())
+    return np.asarray(np.mean(values, axis=0), float) if values else None
