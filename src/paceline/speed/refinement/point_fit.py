@@ -27,7 +27,7 @@ CORNER_PLACE_STD_M = 10.0  # prior standard deviation of a corner's place: it de
 MEDIAN_ERROR_LENGTH = np.sqrt(2 * np.log(2))  # median length of a plane error of standard deviation 1 along each axis
 SCALE_ESTIMATION_STEPS, POINT_FIT_STEPS = 4, 8  # Gauss–Newton steps in which the errors' scale is estimated, and in all
 CONVERGED_POINT_STEP_SIGMA = 0.05  # largest step of a motion parameter, in its standard deviations, at the end
-# Correlation of the errors of both estimates, which are from the same pixels: on drawn clips their differences have half
+# Correlation of the errors of both estimates, from the same pixels: on drawn clips their differences have half
 # the variance that independent ones would have
 ESTIMATE_CORRELATION = 0.5
 OUTLINE_PARAMETERS = "log_depth", "normal_yaw", "normal_tilt"  # of the plane: corners have places of their own
