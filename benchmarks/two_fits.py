@@ -18,6 +18,7 @@ from unittest import mock
 import numpy as np
 from common import Array, head, machine, rendered, rms, row, true_mean
 
+from paceline.blas import on_one_blas_thread
 from paceline.documents.loading import Clip, VehicleDocument
 from paceline.simulation.lane_change import LaneChange
 from paceline.simulation.random_scenes.drawn import random_bend, random_crossing, random_scene
@@ -49,6 +50,7 @@ class Case:
     true: float  # m/s
     seconds: float
 
+    @on_one_blas_thread
     def second(self) -> SecondEstimate | None:
         return second_estimate(self.refined, self.keyframes)
 
