@@ -107,7 +107,7 @@ class Camera:
         """The maps of `undistort_image` for `cv2.remap`, of a camera that is turned by ``turned_back`` (3, 3)."""
         size = self.image_size
         x, y = cv2.initUndistortRectifyMap(self.K, self.distortion, turned_back, self.K, size, cv2.CV_32FC1)
-        return cubic_sampling_places(x), cubic_sampling_places(y)
+        return cubic_sampling_places(np.asarray(x, np.float32)), cubic_sampling_places(np.asarray(y, np.float32))
 
     def undistort_image(
         self, image: NDArray[np.float32], rows: slice = ALL_ROWS, rotation: Array | None = None
@@ -117,7 +117,7 @@ class Camera:
         Of a camera that has turned by ``rotation`` (a rotation vector, rad) the image is turned back.
         """
         if rotation is not None:
-            a, b = self._maps(cv2.Rodrigues(-np.asarray(rotation, float))[0])
+            a, b = self._maps(np.asarray(cv2.Rodrigues(-np.asarray(rotation, float))[0], float))
             return np.asarray(cv2.remap(image, a, b, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
         if not self.has_distortion:
             return image
