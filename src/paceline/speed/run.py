@@ -26,7 +26,7 @@ from paceline.speed.refinement.model_selection import RefinedMotion, refine
 from paceline.speed.refinement.path_deviation import deviation_of, heading_innovation
 from paceline.speed.refinement.point_fit import second_estimate
 from paceline.speed.refinement.self_calibration import RigEstimate
-from paceline.speed.refinement.speed_interval import SpeedInterval, noise_quantile
+from paceline.speed.refinement.speed_interval import SpeedInterval, random_half_width
 from paceline.speed.refinement.trajectory import Trajectory
 from paceline.speed.results import Measurement, RigInformation, Synchronisation, Track
 from paceline.units import COVERAGE_95
@@ -249,7 +249,7 @@ class VehicleMeasurement:
     def _rig_information(self, refined: RefinedMotion, fit: RigEstimate) -> RigInformation:
         """What the images determine of the rig."""
         mean, gradients = refined.trajectory.mean_speed_gradient, refined.trajectory.speed_jacobian
-        of_images = fit.covariance + refined.matching_covariance
+        of_images = refined.covariance_given_rig + refined.matching_covariance
         noise, model = (float(np.sqrt(mean @ C @ mean)) for C in (of_images, refined.model_covariance))
         model = float(np.hypot(model, refined.reference_std))
         variances = np.einsum("fi,ij,fj->f", gradients, of_images + refined.model_covariance, gradients)
@@ -258,7 +258,7 @@ class VehicleMeasurement:
             information=fit.information,
             mean_speed_gradient=mean @ fit.response,
             mean_speed_std=float(np.hypot(noise, model)),
-            half_width=float(np.hypot(noise_quantile(refined.dof) * noise, COVERAGE_95 * model)),
+            half_width=random_half_width(noise, model, refined.dof),
             speed_jacobian=self._by_row(gradients @ fit.response),
             speed_stds=self._by_row(np.sqrt(variances + refined.reference_variances)),
             exposure_stds=refined.trajectory.timing.stds,

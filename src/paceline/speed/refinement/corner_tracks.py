@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from paceline.arrays import Array, Floats, Mask, to_8_bit
+from paceline.arrays import Array, Floats, to_8_bit
 from paceline.imaging.point_tracking import WINDOW_PX, track_forth_and_back
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.trajectory import corners_of
@@ -87,18 +87,11 @@ def _track_from(reference: int, keyframes: Sequence[Keyframe], H: Array) -> tupl
             MAX_RETURN_DISTANCE_PX,
         )
         pixels[:, v] = window.registered(image, tracked)
-        is_found &= _inside_crop(pixels[:, v], resampling[v], keyframes[v // 2], v % 2)
+        rays = np.c_[pixels[:, v], np.ones(len(corners))] @ resampling[v].T
+        is_found &= keyframes[v // 2].holds(v % 2, rays[:, :2] / rays[:, 2:])
         information[:, v] = is_found / max(1.0, ratio[v]) ** 2  # a smaller view shows a place less precisely
     square = corners @ to_square[:2, :2].T + to_square[:2, 2]
     return square, pixels, np.tile(resampling, (len(corners), 1, 1, 1)), information
-
-
-def _inside_crop(pixels: Array, resampling: Array, keyframe: Keyframe, side: int) -> Mask:
-    """Which ``pixels`` (N, 2) of a resampled view (N,) are inside the image that a keyframe has of it."""
-    rays = np.c_[pixels, np.ones(len(pixels))] @ resampling.T
-    place = rays[:, :2] / rays[:, 2:] - keyframe.origins[side]
-    height, width = keyframe.crops[side].shape
-    return np.asarray(((place >= 0) & (place <= (width - 1, height - 1))).all(1))
 
 
 def _side_lengths(H: Array) -> Array:

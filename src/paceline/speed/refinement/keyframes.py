@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from paceline.arrays import Array, Floats
+from paceline.arrays import Array, Floats, Mask
 from paceline.cameras import Quantity, StereoRig
 from paceline.speed.refinement.trajectory import EXPOSURE_QUANTITIES, ExposureTiming
 
@@ -21,6 +21,11 @@ class Keyframe:
     crops: tuple[Floats, Floats]
     origins: Array  # (2, 2) the first pixel of each crop in its image
     quads: Array  # (2, 4, 2) px, of the filter
+
+    def holds(self, side: int, pixels: Array) -> Mask:
+        """Which ``pixels`` (…, 2) of a view are inside its crop (…)."""
+        place, (height, width) = pixels - self.origins[side], self.crops[side].shape
+        return np.asarray(((place >= 0) & (place <= (width - 1, height - 1))).all(-1))
 
 
 def exposures(

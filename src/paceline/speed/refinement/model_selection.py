@@ -96,6 +96,11 @@ class RefinedMotion:
         return self.trajectory.accelerations(self.theta), np.sqrt(variance)
 
     @property
+    def covariance_given_rig(self) -> Array:
+        """Covariance (n, n) of ``theta`` from the scatter of the images, if the rig were known."""
+        return self.covariance if self.rig_estimate is None else self.rig_estimate.covariance
+
+    @property
     def _total_covariance(self) -> Array:
         """Covariance (n, n) of ``theta``, systematic part included where known."""
         random = self.covariance + self.matching_covariance + self.model_covariance

@@ -57,7 +57,7 @@ class SecondEstimate:
         differ by more than their standard deviations.
         """
         gradient, rig = refined.trajectory.mean_speed_gradient, refined.rig_estimate
-        photometric = refined.covariance if rig is None else rig.covariance
+        photometric = refined.covariance_given_rig
         variances = np.array([gradient @ C @ gradient for C in (photometric, self.covariance)])
         common = ESTIMATE_CORRELATION * np.sqrt(variances.prod())
         weights = 1.0 / (variances + 1.0 / (1.0 / variances).sum())
@@ -93,12 +93,10 @@ def second_estimate(refined: RefinedMotion, keyframes: Sequence[Keyframe]) -> Se
         theta, covariance = PointFit(refined, chosen).solution()
     except np.linalg.LinAlgError:
         return None
-    rig, speed = refined.rig_estimate, float(gradient @ theta)
-    photometric = refined.covariance if rig is None else rig.covariance
-    variance = float(gradient @ covariance @ gradient)
+    speed, variance = float(gradient @ theta), float(gradient @ covariance @ gradient)
     if not (np.isfinite(theta).all() and np.isfinite(covariance).all() and variance > 0.0):
         return None
-    difference_std = float(np.sqrt(variance + gradient @ photometric @ gradient))
+    difference_std = float(np.sqrt(variance + gradient @ refined.covariance_given_rig @ gradient))
     return SecondEstimate(theta, covariance, speed, speed - float(gradient @ refined.theta), difference_std)
 
 

@@ -256,7 +256,7 @@ def build_levels(
     scale = np.sqrt(areas(quads))
     crops = [c for k in keyframes for c in k.crops]
     origins = np.concatenate([k.origins for k in keyframes])
-    usable = np.array([_covers(c, o, q) for c, o, q in zip(crops, origins, quads, strict=True)])
+    usable = np.array([keyframes[v // 2].holds(v % 2, quad).all() for v, quad in enumerate(quads)])
     if usable.sum() < MIN_LEVEL_VIEWS:
         raise np.linalg.LinAlgError(f"fewer than {MIN_LEVEL_VIEWS} views hold the whole region")
     smallest = scale[usable].min()
@@ -321,9 +321,3 @@ def _sides(quad: Array) -> Array:
     """Mean width and height (2,) of a quadrilateral (4, 2)."""
     d = np.linalg.norm(np.roll(quad, -1, 0) - quad, axis=1)
     return np.array([d[0] + d[2], d[1] + d[3]]) / 2
-
-
-def _covers(crop: Floats, origin: Array, quad: Array) -> bool:
-    """Whether ``crop`` holds all of ``quad`` (4, 2)."""
-    inner = quad - origin
-    return bool((inner >= 0).all() and (inner <= np.array(crop.shape[::-1]) - 1).all())

@@ -17,7 +17,7 @@ from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.model_selection import RefinedMotion
 from paceline.speed.refinement.pyramid import BLUR_CORRELATED_SAMPLES, areas
 
-GRID = 48, 32  # samples across and down the outline
+OUTLINE_SAMPLES = 48, 32  # across and down the outline
 FACE_TILTS_RAD = np.radians([-30.0, -15.0, 0.0, 15.0, 30.0])  # of faces from the fitted one, as of windscreens
 ROAD_ROLLS_RAD = np.radians([-4.0, 0.0, 4.0])  # of a road across its path, by its banking and the camera's own roll
 MIN_UNEXPLAINED_SHARE = 1e-4  # of the variance: that of two pictures with hardly any noise
@@ -31,36 +31,42 @@ def log_likelihood_ratio_of_road(refined: RefinedMotion, keyframes: Sequence[Key
     Both are planes, with an unknown error of their disparity and, the road, of its roll: the camera need not be level.
     The residuals of the best plane of each are compared, as many of them as are independent.
     """
-    trajectory = refined.trajectory
-    normal = trajectory.motion(refined.theta)[2].reshape(-1, 3)[0]
-    quad = trajectory.quads(refined.theta)[0, 0]
-    centre = trajectory.places(refined.theta, np.array([[0.5, 0.5]]))[0]
+    trajectory, theta = refined.trajectory, refined.theta
+    _, _, normal, _ = trajectory.motion(theta)
+    (centre,) = trajectory.places(theta, np.array([[0.5, 0.5]]))
     s = np.array(path.nearest(centre))
     ground, (_, across, down) = path.at(s), path.frames(s).T
     faces = [(np.cos(tilt) * normal + np.sin(tilt) * down, centre) for tilt in FACE_TILTS_RAD]
     roads = [(np.cos(roll) * down + np.sin(roll) * across, ground) for roll in ROAD_ROLLS_RAD]
+    pixels = _outline_pixels(trajectory.homographies(theta)[0][0, 0])
+    left = _mean_sampled(keyframes, 0, pixels)
+    if left is None:
+        return 0.0
     of_face, of_road = (
-        min(_unexplained_shares(trajectory.rig, keyframes, quad, planes), default=1.0) for planes in (faces, roads)
+        min(_unexplained_shares(trajectory.rig, keyframes, pixels, left, planes), default=1.0)
+        for planes in (faces, roads)
     )
-    independent = min(float(areas(quad)) / BLUR_CORRELATED_SAMPLES, float(np.prod(GRID)))
-    return 0.5 * independent * float(np.log(of_face / of_road))
+    samples = min(float(areas(trajectory.quads(theta)[0, 0])) / BLUR_CORRELATED_SAMPLES, float(len(pixels)))
+    return 0.5 * samples * float(np.log(of_face / of_road))
+
+
+def _outline_pixels(H: Array) -> Array:
+    """Samples (N, 2) px of the outline, to which ``H`` (3, 3) takes the unit square."""
+    across, down = ((np.arange(n) + 0.5) / n for n in OUTLINE_SAMPLES)
+    square = np.stack([*np.meshgrid(across, down), np.ones(OUTLINE_SAMPLES[::-1])], axis=-1).reshape(-1, 3)
+    rays = square @ H.T
+    return np.asarray(rays[:, :2] / rays[:, 2:])
 
 
 def _unexplained_shares(
-    rig: StereoRig, keyframes: Sequence[Keyframe], quad: Array, planes: list[tuple[Array, Array]]
+    rig: StereoRig, keyframes: Sequence[Keyframe], pixels: Array, left: Array, planes: list[tuple[Array, Array]]
 ) -> Iterator[float]:
-    """The share of the variance in the outline ``quad`` (4, 2) px of the left view that the right one does not explain,
-    by each of the ``planes`` (normal, point) with each of the errors of disparity."""
-    H = cv2.getPerspectiveTransform(np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32), quad.astype(np.float32))
-    across, down = ((np.arange(n) + 0.5) / n for n in GRID)
-    square = np.stack([*np.meshgrid(across, down)], axis=-1).reshape(1, -1, 2)
-    pixels = cv2.perspectiveTransform(square, H)[0]
-    rays = rig.left.rays(pixels)
-    left = _mean_sampled(keyframes, 0, pixels)
-    along = rig.t[:2] / np.linalg.norm(rig.t[:2])
+    """The share of the variance of the grey values ``left`` (N,) at ``pixels`` (N, 2) of the left view that the right
+    one does not explain, by each of the ``planes`` (normal, point) with each of the errors of disparity."""
+    rays, along = rig.left.rays(pixels), rig.t[:2] / np.linalg.norm(rig.t[:2])
     for normal, point in planes:
         depths = (normal @ point) / (rays @ normal)
-        if left is None or not (depths > 0).all():
+        if not (depths > 0).all():
             continue
         places = rig.project(rays * depths[:, None])[1]
         for error in DISPARITY_ERRORS_PX:
@@ -75,8 +81,7 @@ def _mean_sampled(keyframes: Sequence[Keyframe], side: int, pixels: Array) -> Ar
     None where none does."""
     values = []
     for k in keyframes:
-        place, (height, width) = pixels - k.origins[side], k.crops[side].shape
-        if k.crops[side].size and (place >= 0).all() and (place <= (width - 1, height - 1)).all():
-            x, y = place.astype(np.float32).T
+        if k.holds(side, pixels).all():
+            x, y = (pixels - k.origins[side]).astype(np.float32).T
             values.append(cv2.remap(k.crops[side], x, y, cv2.INTER_LINEAR).ravel())
     return np.asarray(np.mean(values, axis=0), float) if values else None
