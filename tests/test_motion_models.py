@@ -23,7 +23,6 @@ from paceline.speed.filter.motion_models import (
     diagonal_crossings,
     ensemble_kalman_update,
     plane_centres,
-    plane_yaws,
 )
 from paceline.speed.geometry.paths import Path, resampled
 
@@ -428,7 +427,7 @@ def test_the_ensemble_step_is_the_kalman_update_of_a_gaussian_cloud(rig, free, w
     measured = np.array([0.46, 0.75, 49.5])
     seen = measured + rng.multivariate_normal(np.zeros(3), noise, N)
     places = plane_centres(rig, state)
-    after = ensemble_kalman_update(rig, state, W, places, seen, noise, model)
+    after = ensemble_kalman_update(rig, state, W, seen, noise, model)
     moved_fields = after.velocity if free else np.column_stack([after.speed, after.heading])
     if free:
         np.testing.assert_allclose(after.speed, np.sqrt((after.velocity**2).sum(1)))
@@ -442,32 +441,6 @@ def test_the_ensemble_step_is_the_kalman_update_of_a_gaussian_cloud(rig, free, w
     np.testing.assert_array_less(np.abs(W @ y - exact_mean), 6 * scales / np.sqrt(size))
     found = (W[:, None] * (y - W @ y)).T @ (y - W @ y)
     np.testing.assert_allclose(found / np.outer(std, std), exact_covariance / np.outer(std, std), atol=0.06)
-
-
-def test_a_measured_yaw_corrects_place_velocity_and_yaw_rate(rig):
-    """The update by a pose is that of a Gaussian, too; the planes turn about their own centres."""
-    rng, N = np.random.default_rng(13), 40000
-    root = rng.normal(0, 1, (8, 8))  # place, yaw, velocity and yaw rate
-    scales = np.array([0.05, 0.05, 0.4, 0.03, 0.5, 0.1, 1.5, 0.15])
-    correlation = root @ root.T
-    correlation /= np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
-    covariance = correlation * np.outer(scales, scales)
-    mean = np.array([0.4, 0.8, 50.0, 0.3, 0.2, 0.0, -20.0, 0.1])
-    x = rng.multivariate_normal(mean, covariance, N)
-    normal = np.column_stack([np.sin(x[:, 3]), np.zeros(N), np.cos(x[:, 3])])
-    turning = np.column_stack([np.zeros(N), x[:, 7], np.zeros(N)])
-    state = planes_at(rig, x[:, :3], normal, velocity=x[:, 4:7], turning=turning)
-    noise = np.diag([4e-4, 4e-4, 0.04, 1e-3])
-    noise[2, 3] = noise[3, 2] = 3e-3
-    measured = np.array([0.46, 0.75, 49.5, 0.33])
-    seen = measured + rng.multivariate_normal(np.zeros(4), noise, N)
-    model = CoordinatedTurn(rig, SpeedConfiguration())
-    after = ensemble_kalman_update(rig, state, np.full(N, 1 / N), x[:, :4], seen, noise, model)
-    y = np.column_stack([plane_centres(rig, after), plane_yaws(after), after.velocity, after.turning[:, 1]])
-    exact_mean, exact_covariance = kalman(mean, covariance, measured, noise)
-    std = np.sqrt(np.diag(exact_covariance))
-    np.testing.assert_array_less(np.abs(y.mean(0) - exact_mean), 6 * scales / np.sqrt(N))
-    np.testing.assert_allclose(np.cov(y.T) / np.outer(std, std), exact_covariance / np.outer(std, std), atol=0.06)
 
 
 def test_a_state_is_indexed_particle_by_particle(rig):

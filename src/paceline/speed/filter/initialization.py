@@ -122,7 +122,7 @@ class Initialization:
         """
         motion, particle_set = likeliest.motion, likeliest
         start = start[np.arange(self.configuration.particles)]
-        observation = register_plane(texture, particle_set, frame, self.is_aligned(particle_set, dt))
+        observation = register_plane(texture, particle_set, frame)
         for _ in range(MAX_START_ITERATIONS):
             if observation is None or observation.registration.similarity < MIN_REFERENCE_SIMILARITY:
                 break
@@ -134,17 +134,13 @@ class Initialization:
                 drawn = self.draw_start(start, motion, images, dt, prior)
             state = motion.propagate(drawn, dt, self.rng, self.vehicle.displacement)
             particle_set = self.particles(motion, state, Weights.equal(len(state)))
-            observation = register_plane(texture, particle_set, frame, self.is_aligned(particle_set, dt))
+            observation = register_plane(texture, particle_set, frame)
             if observation is None:
                 break
             change = float(np.linalg.norm(observation.place - before))
             if change < START_STEP_TOLERANCE * prior[0] * dt:
                 break
         return particle_set, observation
-
-    def is_aligned(self, particle_set: ParticleSet, dt: float) -> bool:
-        """Whether `turn_start` has aligned the planes with the direction of travel."""
-        return is_heading_known(particle_set.mean().velocity[0] * dt)
 
     def draw_start(
         self,

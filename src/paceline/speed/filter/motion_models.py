@@ -116,40 +116,29 @@ def ensemble_kalman_update(
     rig: StereoRig,
     state: State,
     W: Array,
-    poses: Array,
     measurements: Array,
     noise: Array,
     model: FreeMotion | PathMotion,
     displacement: Array = NO_DISPLACEMENT,
 ) -> State:
-    """``state`` after an ensemble Kalman step with measured poses of the plane.
+    """``state`` after an ensemble Kalman step with measured centres of the plane.
 
-    ``poses`` (N, m) are the plane centres and with m = 4 the yaws; ``measurements`` (N, m) one
-    perturbed measurement of it for each particle, ``noise`` (m, m) its covariance. The gain comes from the weighted
-    particles' covariance. The planes move by ``displacement`` (3,) m between the exposures.
+    ``measurements`` (N, 3) are one perturbed measurement for each particle, ``noise`` (3, 3) its covariance. The gain
+    comes from the weighted particles' covariance. The planes move by ``displacement`` (3,) m between the exposures.
     """
-    fields, m = model.corrected_fields, len(noise)
-    columns = [poses, *(getattr(state, f).reshape(len(state), -1) for f in fields)]
+    centres, fields = plane_centres(rig, state), model.corrected_fields
+    columns = [centres, *(getattr(state, f).reshape(len(state), -1) for f in fields)]
     x = np.concatenate(columns, axis=1)
     deviation = x - W @ x
-    gain = kalman_gain(((W[:, None] * deviation).T @ deviation)[:, :m], noise)
-    change = (measurements - poses) @ gain.T
-    updates, start = {}, m
+    gain = kalman_gain(((W[:, None] * deviation).T @ deviation)[:, :3], noise)
+    change = (measurements - centres) @ gain.T
+    updates, start = {}, 3
     for f, column in zip(fields, columns[1:], strict=True):
         width = column.shape[1]
         updates[f] = getattr(state, f) + change[:, start : start + width].reshape(getattr(state, f).shape)
         start += width
-    shift, dR = change[:, :3], None
-    if m > 3:  # the plane turns about its own centre
-        dR = Rotation.from_euler("y", change[:, 3:4]).as_matrix()
-        shift = shift + poses[:, :3] - _combine_columns(dR, poses[:, :3])
-    after = apply_rigid_motion(state, rig, shift, dR, displacement)
+    after = apply_rigid_motion(state, rig, change[:, :3], None, displacement)
     return model.after_shift(replace(after, **updates), change[:, :3])
-
-
-def plane_yaws(state: State) -> Array:
-    """Yaws (N,) rad of the planes' normals about the camera's y axis, to the right of its z axis."""
-    return np.asarray(np.arctan2(state.normal[:, 0], state.normal[:, 2]))
 
 
 def headings(velocity: Array, reference: Array) -> Array:
@@ -165,15 +154,15 @@ def with_normal(rig: StereoRig, state: State, normal: Array) -> State:
 
 
 def kalman_gain(covariance: Array, noise: Array) -> Array:
-    """The gain (k, m) of a measurement of the plane's pose with covariance ``noise`` (m, m).
+    """The gain (k, 3) of a measurement of the plane's centre with covariance ``noise`` (3, 3).
 
-    ``covariance`` (k, m) is that of everything, the pose first, with the pose.
+    ``covariance`` (k, 3) is that of everything, the centre first, with the centre.
     """
     return np.asarray(covariance @ np.linalg.inv(covariance[: len(noise)] + noise))
 
 
 def cholesky_factor(covariance: Array) -> Array:
-    """The lower triangular root (m, m) of the ``covariance`` of a pose."""
+    """The lower triangular root (m, m) of a ``covariance`` (m, m), m²."""
     return np.asarray(np.linalg.cholesky(covariance + COVARIANCE_FLOOR_M2 * np.eye(len(covariance))), float)
 
 

@@ -62,9 +62,8 @@ class Particles(Protocol):
     def centre(self) -> tuple[Array, Array]:
         """Mean (3,) and covariance (3, 3) of the planes' centres, m."""
 
-    def ensemble_kalman_update(self, pose: Array, covariance: Array, rng: np.random.Generator) -> None:
-        """The ensemble Kalman update by a measured ``pose`` (m,): the plane's centre, m, and with m = 4
-        its yaw, rad."""
+    def ensemble_kalman_update(self, place: Array, covariance: Array, rng: np.random.Generator) -> None:
+        """The ensemble Kalman update by a measured ``place`` (3,) m of the plane's centre."""
 
     def image_bounds(self) -> tuple[Array, Array]:
         """Pixels (…, 2) of each view whose bounding box contains the regions of all particles."""
@@ -130,14 +129,11 @@ class ParticleSet:
         places = motion_models.plane_centres(self.rig, self.state)
         return self.weights.mean(places), self.weights.covariance(places)
 
-    def ensemble_kalman_update(self, pose: Array, covariance: Array, rng: np.random.Generator) -> None:
-        poses = motion_models.plane_centres(self.rig, self.state)
-        if len(pose) > 3:
-            poses = np.concatenate([poses, motion_models.plane_yaws(self.state)[:, None]], axis=1)
-        noise = rng.normal(0.0, 1.0, poses.shape) @ motion_models.cholesky_factor(covariance).T
+    def ensemble_kalman_update(self, place: Array, covariance: Array, rng: np.random.Generator) -> None:
+        noise = rng.normal(0.0, 1.0, (len(self.state), 3)) @ motion_models.cholesky_factor(covariance).T
         W = self.weights.W
         self.state = motion_models.ensemble_kalman_update(
-            self.rig, self.state, W, poses, pose + noise, covariance, self.motion, self.displacement
+            self.rig, self.state, W, place + noise, covariance, self.motion, self.displacement
         )
 
     def image_bounds(self) -> tuple[Array, Array]:

@@ -30,9 +30,7 @@ Number = TypeVar("Number", bound=np.generic)
 MAX_REGISTRATION_ITERATIONS = 8
 COARSE_LEVELS = (6.0, 2.5)  # smoothing in grid steps, for searches that start farther away
 CONVERGED_STEP_CHI2 = 0.1  # squared standard deviations of the last step; the next one is quadratically smaller
-YAW_STEP_STD_RAD = 0.1  # rad, of a prior that keeps the steps small where the images hardly determine the yaw
-UNKNOWN_YAW_STD_RAD = 10.0  # rad, of a prior that only keeps the equations regular
-MODEL_YAW_STD_RAD = np.radians(1.0)  # rad, of a registered yaw: it depends on the plane's own, known to a few degrees
+YAW_STD_RAD = 0.1  # prior standard deviation of how far the plane has turned beyond what is expected
 VIEW_GAIN_RANGE = (0.2, 5.0)
 MAX_DEPTH_SHIFT_SIGMA = 5.0  # greatest shift in standard deviations of the outline's depth
 NOISE_CORRELATED_SAMPLES = 4.0  # number of neighbouring samples that share their noise
@@ -46,19 +44,12 @@ GATE_CHI2 = 50.0  # squared Mahalanobis distance, three degrees of freedom, abov
 @dataclass(frozen=True, eq=False)
 class Registration:
     """The plane's ``shift`` (3,) in metres from where it was expected, its ``covariance`` (3, 3), the correlation of
-    the views with the texture (``similarity``, −1 … 1), and the ``texture`` (2, parts, samples) of each view there.
-
-    Where the yaw was estimated, too, ``change`` (4,) is what the images alone tell of shift and yaw (rad), and
-    ``change_covariance`` (4, 4): a yaw that they do not determine has a great variance. Otherwise they are those of the
-    shift along each direction.
-    """
+    the views with the texture (``similarity``, −1 … 1), and the ``texture`` (2, parts, samples) of each view there."""
 
     shift: Array
     covariance: Array
     similarity: float
     texture: Array
-    change: Array
-    change_covariance: Array
 
 
 class PlaneGrid:
@@ -142,7 +133,7 @@ def register(
     shift, x, w = np.zeros(3), np.zeros(k), np.ones((V, parts))  # x: shifts along the directions, and the yaw
     prior = np.zeros((k, k))
     if with_yaw:
-        prior[-1, -1] = NOISE_CORRELATED_SAMPLES / YAW_STEP_STD_RAD**2
+        prior[-1, -1] = NOISE_CORRELATED_SAMPLES / YAW_STD_RAD**2
     sampled, JJ, JT, JI = np.empty((V, parts, samples)), np.empty((V, parts, k, k)), *np.empty((2, V, parts, k))
     TI, II = np.empty((2, V, parts))
     normal, scores = np.empty((k, k)), np.empty((V, parts, k))
@@ -179,13 +170,7 @@ def register(
     spread = inverse @ (scatter + NOISE_CORRELATED_SAMPLES * information) @ inverse
     similarity = TI.sum(1) / np.sqrt((II.sum(1) + 1e-9) * (TT.sum() + 1e-9))
     covariance = directions @ spread[:shifts, :shifts] @ directions.T
-    change, change_covariance = x, spread
-    if with_yaw:  # without the prior, which only kept the steps small: the particles have one of their own
-        inverse = np.linalg.inv(normal + prior * (YAW_STEP_STD_RAD / UNKNOWN_YAW_STD_RAD) ** 2)
-        change = x + inverse @ prior @ x
-        change_covariance = inverse @ (scatter + NOISE_CORRELATED_SAMPLES * normal) @ inverse
-        change_covariance[-1, -1] += MODEL_YAW_STD_RAD**2
-    return Registration(shift, covariance, float(similarity.mean()), sampled, change, change_covariance)
+    return Registration(shift, covariance, float(similarity.mean()), sampled)
 
 
 def _turned_about(pivot: Array, R: Array, yaw: float, P: Array) -> Array:
@@ -306,9 +291,7 @@ class ReferenceTexture:
             )
             start = start + coarse.shift
         registration = register(self.rig, images, points + start, self.texture, self.grid, np.eye(3), with_yaw=with_yaw)
-        change = registration.change.copy()
-        change[:3] += start
-        return replace(registration, shift=start + registration.shift, change=change)
+        return replace(registration, shift=start + registration.shift)
 
     def update(self, registration: Registration) -> None:
         """Update the texture by (14) from the left view alone.
@@ -331,27 +314,19 @@ class ReferenceTexture:
 @dataclass(frozen=True, eq=False)
 class PlaneObservation:
     """Where registration found the plane: the ``place`` (3,) of its centre, m, the ``registration``, and whether that
-    is ``inside_gate``, which is wider the more similar the texture is.
-
-    ``pose`` (m,) is what the particles are updated by, with its ``pose_covariance`` (m, m): the centre, and with m = 4
-    the yaw, rad.
-    """
+    is ``inside_gate``, which is wider the more similar the texture is."""
 
     place: Array
     registration: Registration
     inside_gate: bool
-    pose: Array
-    pose_covariance: Array
 
 
-def register_plane(
-    texture: ReferenceTexture, particle_set: Particles, frame: StereoFrame, is_aligned: bool = False
-) -> PlaneObservation | None:
+def register_plane(texture: ReferenceTexture, particle_set: Particles, frame: StereoFrame) -> PlaneObservation | None:
     """Register the mean plane of the particles to both images of ``frame``; None where its texture determines nothing.
 
-    In a coordinated turn its yaw is estimated, too, as its foreshortening looks like a distance. The particles are
-    updated by it where the plane ``is_aligned`` with the direction of travel: how far it has turned is known only if
-    its normal is. The gate is on the squared Mahalanobis distance between the registered and the predicted centre.
+    In a coordinated turn its yaw is a nuisance parameter, as its foreshortening looks like a distance. The particles
+    are not updated by it: on a vehicle that is not flat, foreshortening and depth cannot be told apart. The gate is on
+    the squared Mahalanobis distance between the registered and the predicted centre.
     """
     mean, spread = particle_set.mean(), particle_set.image_spread_px()
     images, turns = (frame.left, frame.right), isinstance(particle_set.motion, CoordinatedTurn)
@@ -362,20 +337,16 @@ def register_plane(
     # while the speed is hardly known, the mean region is not the projection of the mean plane
     expected = motion_models.plane_centres(texture.rig, mean)[0]
     place = expected + registration.shift
-    pose, pose_covariance = place, registration.covariance
-    if turns and is_aligned:
-        pose = np.append(expected, motion_models.plane_yaws(mean)) + registration.change
-        pose_covariance = registration.change_covariance
     centre, covariance = particle_set.centre()
     innovation = place - centre
     chi2 = float(innovation @ np.linalg.solve(covariance + registration.covariance, innovation))
     threshold = MIN_REFERENCE_SIMILARITY if chi2 < GATE_CHI2 else MIN_SIMILARITY_OUTSIDE_GATE
-    return PlaneObservation(place, registration, registration.similarity >= threshold, pose, pose_covariance)
+    return PlaneObservation(place, registration, registration.similarity >= threshold)
 
 
 def update_by_registration(
     texture: ReferenceTexture, particle_set: Particles, observation: PlaneObservation, rng: np.random.Generator
 ) -> None:
-    """The ensemble Kalman update by the registered pose, and the update of the texture."""
-    particle_set.ensemble_kalman_update(observation.pose, observation.pose_covariance, rng)
+    """The ensemble Kalman update by the registered place, and the update of the texture."""
+    particle_set.ensemble_kalman_update(observation.place, observation.registration.covariance, rng)
     texture.update(observation.registration)

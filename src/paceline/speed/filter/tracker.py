@@ -129,7 +129,7 @@ class Tracker:
         """
         if self.texture is None or not self._has_speed:
             return
-        observation = register_plane(self.texture, self.particle_set, frame, self._is_aligned)
+        observation = register_plane(self.texture, self.particle_set, frame)
         if observation is not None and observation.inside_gate:
             update_by_registration(self.texture, self.particle_set, observation, self.rng)
 

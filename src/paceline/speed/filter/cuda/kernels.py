@@ -19,9 +19,8 @@ from paceline.speed.filter.cuda.motion import (
     prepare,
     propagate_along_path,
     propagate_free,
+    set_identity,
     set_speed,
-    set_yaw,
-    turn_about_y,
 )
 from paceline.speed.filter.resampling import SHRINKAGE
 
@@ -63,48 +62,41 @@ def _set_plane_normal(rows, q, normal):
         rows[layout.NORMAL_ROW + i, q] = normal[i]
         distance += rows[layout.CENTRE_ROW + i, q] * normal[i]
     rows[layout.DISTANCE_ROW, q] = distance
-    set_yaw(rows, q)
 
 
 @cuda.jit(device=True)
 def _ensemble_kalman_update(rows, q, p, command_buffer, command, rig, knots):
     """`motion_models.ensemble_kalman_update`, with the motion's ``after_shift``: the ensemble Kalman step."""
-    noise, innovation = cuda.local.array(4, np.float64), cuda.local.array(4, np.float64)
-    change, shift = cuda.local.array(10, np.float64), cuda.local.array(3, np.float64)
-    dR = cuda.local.array((3, 3), np.float64)
-    pose, factor, gain = (
-        command[layout.KALMAN_STEP : layout.KALMAN_STEP + 4],
-        command[layout.KALMAN_STEP + 4 : layout.KALMAN_STEP + 20],
-        command[layout.KALMAN_STEP + 20 : layout.KALMAN_STEP + 60],
+    noise, innovation = cuda.local.array(3, np.float64), cuda.local.array(3, np.float64)
+    change, dR = cuda.local.array(9, np.float64), cuda.local.array((3, 3), np.float64)
+    place, factor, gain = (
+        command[layout.KALMAN_STEP : layout.KALMAN_STEP + 3],
+        command[layout.KALMAN_STEP + 3 : layout.KALMAN_STEP + 12],
+        command[layout.KALMAN_STEP + 12 : layout.KALMAN_STEP + 39],
     )
-    noise[3] = 0.0
-    draw(command_buffer, command, layout.MEASUREMENT_NOISE_KIND, int(command[layout.POSE_SIZE]), p, noise, 0)
-    for i in range(4):
-        innovation[i] = pose[i] - rows[layout.YAW_ROW if i == 3 else layout.CENTRE_ROW + i, q]
+    draw(command_buffer, command, layout.MEASUREMENT_NOISE_KIND, 3, p, noise, 0)
+    for i in range(3):
+        innovation[i] = place[i] - rows[layout.CENTRE_ROW + i, q]
         for j in range(i + 1):
-            innovation[i] += factor[4 * i + j] * noise[j]
-    for i in range(10):
+            innovation[i] += factor[3 * i + j] * noise[j]
+    for i in range(9):
         change[i] = 0.0
-        for j in range(4):
-            change[i] += gain[4 * i + j] * innovation[j]
-    turn_about_y(change[3], dR)
-    x, z = rows[layout.CENTRE_ROW, q], rows[layout.CENTRE_ROW + 2, q]  # the plane turns about its own centre
-    shift[0] = change[0] + (x - (dR[0, 0] * x + dR[0, 2] * z))
-    shift[1] = change[1]
-    shift[2] = change[2] + (z - (dR[2, 0] * x + dR[2, 2] * z))
+        for j in range(3):
+            change[i] += gain[3 * i + j] * innovation[j]
     if command[layout.IS_FREE] != 0.0:
         for i in range(3):
-            rows[layout.VELOCITY_ROW + i, q] += change[4 + i]
-            rows[layout.TURN_RATE_ROW + i, q] += change[7 + i]
+            rows[layout.VELOCITY_ROW + i, q] += change[3 + i]
+            rows[layout.TURN_RATE_ROW + i, q] += change[6 + i]
         set_speed(rows, q)
     else:
-        rows[layout.SPEED_ROW, q] += change[4]
-        rows[layout.HEADING_ROW, q] += change[5]
-        rows[layout.HEADING_ROW + 1, q] += change[6]
+        rows[layout.SPEED_ROW, q] += change[3]
+        rows[layout.HEADING_ROW, q] += change[4]
+        rows[layout.HEADING_ROW + 1, q] += change[5]
         F = cuda.local.array((3, 3), np.float64)
         frame(knots, rows[layout.ARC_LENGTH_ROW, q], F)
         rows[layout.ARC_LENGTH_ROW, q] += change[0] * F[0, 0] + change[1] * F[1, 0] + change[2] * F[2, 0]
-    move(rows, q, rig, dR, shift)
+    set_identity(dR)
+    move(rows, q, rig, dR, change)
 
 
 @kernel

@@ -19,12 +19,12 @@ import numpy as np
 LEFT_REGION_ROW, RIGHT_REGION_ROW, NORMAL_ROW, DISTANCE_ROW = 0, 8, 16, 19
 SPEED_ROW, ARC_LENGTH_ROW, HEADING_ROW, VELOCITY_ROW, TURN_RATE_ROW = 20, 21, 22, 24, 27
 STATE_ROW_COUNT = 30  # rows of the state itself
-# derived from the state: the planes' centres in space, their yaws, and the centres in both views
-CENTRE_ROW, YAW_ROW, LEFT_CROSSING_ROW, RIGHT_CROSSING_ROW = 30, 33, 34, 36
-CARRIED_ROW_COUNT = 38  # rows that resampling copies
-LOG_WEIGHT_ROW, WEIGHT_ROW, CUMULATIVE_WEIGHT_ROW, LIKELIHOOD_ROW = range(38, 42)
-PREVIOUS_LOG_WEIGHT_ROW = 42  # before the last update
-ROW_COUNT = 43
+# derived from the state: the planes' centres in space, and in both views
+CENTRE_ROW, LEFT_CROSSING_ROW, RIGHT_CROSSING_ROW = 30, 33, 35
+CARRIED_ROW_COUNT = 37  # rows that resampling copies
+LOG_WEIGHT_ROW, WEIGHT_ROW, CUMULATIVE_WEIGHT_ROW, LIKELIHOOD_ROW = range(37, 41)
+PREVIOUS_LOG_WEIGHT_ROW = 41  # before the last update
+ROW_COUNT = 42
 
 # --- commands ------------------------------------------------------------------------------------------------------
 
@@ -38,11 +38,10 @@ TIME_STEP, DRIFT_STD = 14, 15  # s; standard deviations of the drift, m, sideway
 RESAMPLING_OFFSET = 17  # u of systematic resampling
 HEADING_STD, MEAN_HEADING = 18, 20  # (2,) of the particles' headings; of those of the survivors
 TARGET_NORMAL = 22  # (3,) of SET_NORMAL
-KALMAN_STEP = 25  # (15, 4) the measured pose, the Cholesky factor of its covariance, the gain; 0 without a yaw
-POSE_SIZE = 85  # 3 for the measured centre alone, 4 with the yaw
-IS_COORDINATED_TURN = 86  # without a path: whether the velocity turns with the plane
-GENERATOR_KEY = 87  # (4,) of the counter-based generator, 32 bits each
-NOISE_SOURCES = 91  # (NOISE_KINDS, 2) for each kind: index in the command buffer or −1 − generator call; sigma
+KALMAN_STEP = 25  # (13, 3) the measured place, the Cholesky factor of its covariance, the gain
+IS_COORDINATED_TURN = 64  # without a path: whether the velocity turns with the plane
+GENERATOR_KEY = 65  # (4,) of the counter-based generator, 32 bits each
+NOISE_SOURCES = 69  # (NOISE_KINDS, 2) for each kind: index in the command buffer or −1 − generator call; sigma
 NOISE_KINDS, JITTER_KIND, PROCESS_NOISE_KIND, MEASUREMENT_NOISE_KIND = 7, 0, 1, 6
 HOST_COLUMN = NOISE_SOURCES + 2 * NOISE_KINDS  # the vehicle's first column when all are downloaded
 DRAWN_STRIDE = HOST_COLUMN + 1  # n, where every n-th particle is returned for drawing
@@ -63,7 +62,7 @@ OBSERVATION_SIZE = REFERENCE_FEATURES + 2 * MAX_PARTS * 16
 
 # --- results -------------------------------------------------------------------------------------------------------
 
-POSE_ROWS = (CENTRE_ROW, CENTRE_ROW + 1, CENTRE_ROW + 2, YAW_ROW)
+CENTRE_ROWS = (CENTRE_ROW, CENTRE_ROW + 1, CENTRE_ROW + 2)
 VARIANCE_ROWS = (LEFT_CROSSING_ROW, LEFT_CROSSING_ROW + 1, SPEED_ROW, HEADING_ROW, HEADING_ROW + 1)
 # rows of the state that the Kalman update corrects, by IS_FREE; along a path there are fewer, and the last is repeated
 CORRECTED_ROWS = (
@@ -74,7 +73,7 @@ MOMENT_PAIRS = np.array(
     [
         [(row, -1) for row in range(CARRIED_ROW_COUNT)]
         + [(row, row) for row in VARIANCE_ROWS]
-        + [(row, measured) for row in (*POSE_ROWS, *corrected) for measured in POSE_ROWS]
+        + [(row, measured) for row in (*CENTRE_ROWS, *corrected) for measured in CENTRE_ROWS]
         for corrected in CORRECTED_ROWS
     ],
     np.int32,

@@ -67,15 +67,8 @@ def _store_region(quad, rows, first, q):
 
 
 @cuda.jit(device=True)
-def set_yaw(rows, q):
-    """`motion_models.plane_yaws`."""
-    rows[layout.YAW_ROW, q] = math.atan2(rows[layout.NORMAL_ROW, q], rows[layout.NORMAL_ROW + 2, q])
-
-
-@cuda.jit(device=True)
 def _derive(rows, q, rig):
     """The rows that follow from the state."""
-    set_yaw(rows, q)
     quad = cuda.local.array((4, 2), np.float64)
     crossing = cuda.local.array(2, np.float64)
     for view in range(2):
@@ -132,13 +125,10 @@ def move(rows, q, rig, dR, shift):
 
 
 @cuda.jit(device=True)
-def turn_about_y(yaw, dR):
-    """The rotation ``dR`` by ``yaw`` rad about the camera's y axis, from z towards x."""
+def set_identity(dR):
     for i in range(3):
         for j in range(3):
             dR[i, j] = 1.0 if i == j else 0.0
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    dR[0, 0], dR[0, 2], dR[2, 0], dR[2, 2] = cos, sin, -sin, cos
 
 
 @cuda.jit(device=True)
@@ -240,7 +230,7 @@ def propagate_along_path(rows, q, p, command_buffer, command, rig, knots):
     for i in range(3):
         offset = F[i, 1] * rows[layout.HEADING_ROW, q] + F[i, 2] * rows[layout.HEADING_ROW + 1, q]
         shift[i] = end[i] - start[i] + ahead * offset
-    turn_about_y(0.0, dR)
+    set_identity(dR)
     if turns:
         frame(knots, s, after)
         _multiply_transposed(after, F, dR)  # (26)

@@ -33,7 +33,7 @@ from paceline.speed.filter.resampling import JITTER_SCALE, Weights, ess_sufficie
 _CROSSING, _SPEED, _HEADING = (
     layout.VARIANCE_ROWS.index(row) for row in (layout.LEFT_CROSSING_ROW, layout.SPEED_ROW, layout.HEADING_ROW)
 )
-_POSE, _POSE_SIZE = len(layout.VARIANCE_ROWS), len(layout.POSE_ROWS)
+_PLACE = len(layout.VARIANCE_ROWS)
 
 
 @dataclass(slots=True, eq=False)
@@ -101,18 +101,12 @@ class CudaParticleSet:
         self.displacement = displacement
         self.device.displace(self)
 
-    def ensemble_kalman_update(self, pose: Array, covariance: Array, rng: np.random.Generator) -> None:
-        m = len(pose)
-        moments = self._moments().second[_POSE:].reshape(-1, _POSE_SIZE)
-        measured = np.r_[:m, _POSE_SIZE : len(moments)]  # without the yaw, where that is not measured
-        step = np.zeros((1 + _POSE_SIZE + len(moments), _POSE_SIZE))
-        step[0, :m], step[1 : 1 + m, :m] = pose, cholesky_factor(covariance)
-        step[1 + _POSE_SIZE + measured, :m] = kalman_gain(moments[measured, :m], covariance)
+    def ensemble_kalman_update(self, place: Array, covariance: Array, rng: np.random.Generator) -> None:
+        moments = self._moments().second[_PLACE:].reshape(-1, 3)
+        step = np.concatenate([place[None], cholesky_factor(covariance), kalman_gain(moments, covariance)])
         self.device.enqueue(self, layout.KALMAN_UPDATE)
-        self._draw(layout.MEASUREMENT_NOISE_KIND, 1.0, m, rng)
-        command = self._command
-        command[layout.KALMAN_STEP : layout.KALMAN_STEP + step.size] = step.reshape(-1)
-        command[layout.POSE_SIZE] = m
+        self._draw(layout.MEASUREMENT_NOISE_KIND, 1.0, 3, rng)
+        self._command[layout.KALMAN_STEP : layout.KALMAN_STEP + step.size] = step.reshape(-1)
 
     def set_plane_normal(self, normal: Array) -> None:
         self.device.enqueue(self, layout.SET_NORMAL)
@@ -167,7 +161,7 @@ class CudaParticleSet:
 
     def centre(self) -> tuple[Array, Array]:
         moments = self._moments()
-        covariance = moments.second[_POSE:].reshape(-1, _POSE_SIZE)[:3, :3]
+        covariance = moments.second[_PLACE:].reshape(-1, 3)[:3]
         return moments.mean[layout.CENTRE_ROW : layout.CENTRE_ROW + 3], covariance
 
     def image_bounds(self) -> tuple[Array, Array]:
@@ -239,7 +233,6 @@ def derived_rows_of(particle_set: ParticleSet) -> Array:
     rows = np.zeros((layout.LIKELIHOOD_ROW, len(state)))
     rows[: layout.STATE_ROW_COUNT] = rows_of(state)
     rows[layout.CENTRE_ROW : layout.CENTRE_ROW + 3] = motion_models.plane_centres(particle_set.rig, state).T
-    rows[layout.YAW_ROW] = motion_models.plane_yaws(state)
     rows[layout.LEFT_CROSSING_ROW : layout.LEFT_CROSSING_ROW + 2] = motion_models.diagonal_crossings(state.left).T
     rows[layout.RIGHT_CROSSING_ROW : layout.RIGHT_CROSSING_ROW + 2] = motion_models.diagonal_crossings(state.right).T
     rows[layout.LOG_WEIGHT_ROW], rows[layout.WEIGHT_ROW] = weights.lw, weights.W
