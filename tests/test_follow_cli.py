@@ -108,6 +108,31 @@ def test_the_summary_is_right(followed: tuple[Done, Path]) -> None:
     assert found["configuration"]["wheelbase"] > 0 and "paceline" in found["versions"]
 
 
+def test_without_odometry_it_is_said_that_the_lead_itself_is_steered_for(followed: tuple[Done, Path]) -> None:
+    done, out = followed
+    words = (
+        "towards the lead itself and not along its path, so that it cuts the corner in bends; "
+        "assumed: wheelbase 2.8 m, camera 1.5 m ahead of the rear axle"
+    )
+    assert f"steering: {words}\n" in done.stdout
+    assert f"Steering angle:</strong> {words}." in (out / "report.html").read_text()
+    assert (summary(out)["steering"], summary(out)["assumed"]) == ("lead", {"wheelbase": 2.8, "camera_ahead": 1.5})
+
+
+def test_no_steering_leaves_the_column_empty(clip: Path, tmp_path: Path) -> None:
+    change(clip, start=tiny_chase.start(FRAMES - 4))
+    done = paceline("follow", clip, "-o", tmp_path / "out", "--no-overlay", "--steering", "none")
+    assert done.returncode == 0, done.stderr
+    assert {row["steering_rad"] for row in rows(tmp_path / "out")} == {""}
+    assert (summary(tmp_path / "out")["steering"], summary(tmp_path / "out")["assumed"]) == ("none", {})
+
+
+def test_a_path_cannot_be_steered_along_without_odometry(clip: Path, tmp_path: Path) -> None:
+    done = paceline("follow", clip, "-o", tmp_path / "out", "--steering", "path")
+    assert_one_line_error(done, "follow.yaml: odometry: missing")
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_overlay_plays_with_the_recordings_times(followed: tuple[Done, Path]) -> None:
     with av.open(str(followed[1] / "overlay.mp4")) as container:
         frames = list(container.decode(video=0))
@@ -141,9 +166,11 @@ def test_odometry_and_wheelbase_steer(clip: Path, tmp_path: Path) -> None:
     for turn in (0.0, 0.4):
         drive = [f"{k},{0.5 * k},0,{turn * k / 15}" for k in range(FRAMES)]
         (clip / "odometry.csv").write_text("\n".join(["frame,x_m,y_m,heading_rad", *drive]) + "\n")
-        change(clip, odometry="odometry.csv", wheelbase=3.3)
+        change(clip, odometry="odometry.csv", wheelbase=3.3, lookahead=1.0)
         assert paceline("follow", clip, "-o", tmp_path / "out", "--no-overlay").returncode == 0
-        assert summary(tmp_path / "out")["configuration"]["wheelbase"] == 3.3
+        found = summary(tmp_path / "out")
+        assert (found["configuration"]["wheelbase"], found["configuration"]["lookahead_time"]) == (3.3, 1.0)
+        assert (found["steering"], found["assumed"]) == ("path", {"camera_ahead": 1.5})
         angles.append(np.array([float(r["steering_rad"]) for r in rows(tmp_path / "out")]))
     assert np.isfinite(angles).all()
     assert np.abs(angles[0] - angles[1]).max() > 0.01

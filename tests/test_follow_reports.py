@@ -189,7 +189,7 @@ def test_plots_of_short_runs(status: str, count: int) -> None:
     history = History()
     for k in range(count):
         history.add(estimate(k, status))
-    plots = follow_plots(history.result("c", "t", {}, {}, [], 1.0))
+    plots = follow_plots(history.result("c", "t", "lead", {}, {}, {}, [], 1.0))
     assert [p.name for p in plots] == ["range", "bearing", "confidence", "residual", "latency"]
     assert all(p.png and "mathdefault" not in p.svg for p in plots)
 
@@ -202,7 +202,7 @@ def test_plots_count_from_the_first_frame() -> None:
     for k in range(0, 60, 15):
         early.add(run(k))
         late.add(replace(run(k), time=run(k).time + begun))
-    plots = [follow_plots(history.result("c", "t", {}, {}, [], 1.0)) for history in (early, late)]
+    plots = [follow_plots(history.result("c", "t", "lead", {}, {}, {}, [], 1.0)) for history in (early, late)]
     assert [a.svg for a in plots[0]] == [b.svg for b in plots[1]]
 
 
@@ -232,7 +232,7 @@ def test_long_runs_are_thinned_evenly() -> None:
     history = History(keep=16)
     for k in range(100):
         history.add(estimate(k))
-    frames = history.result("c", "t", {}, {}, [], 1.0).frame
+    frames = history.result("c", "t", "lead", {}, {}, {}, [], 1.0).frame
     assert history.every == 8
     np.testing.assert_array_equal(frames, np.arange(0, 100, 8))
     assert history.tally.frames == 100
@@ -242,7 +242,7 @@ def test_everything_is_kept_where_that_is_wanted() -> None:
     history = History(keep=None)
     for k in range(3000):
         history.add(estimate(k % 60))
-    assert len(history.result("c", "t", {}, {}, [], 1.0).frame) == 3000
+    assert len(history.result("c", "t", "lead", {}, {}, {}, [], 1.0).frame) == 3000
 
 
 def test_stills_are_spread_over_the_run() -> None:

@@ -117,6 +117,8 @@ class FollowClip:
     scale: float
     odometry: Path | None
     wheelbase: float | None  # m, of the chase vehicle
+    camera_ahead: float | None = None  # m from its rear axle to the camera
+    lookahead: float | None = None  # s of driving to the point of the path that is pursued
     rate_override: bool = False  # whether the rate is used in place of a video's own time stamps
 
 
@@ -268,6 +270,8 @@ def load_follow(path: str | Path) -> FollowClip:
         scale=start.scale,
         odometry=None if model.odometry is None else path.parent / model.odometry,
         wheelbase=model.wheelbase,
+        camera_ahead=model.camera_ahead,
+        lookahead=model.lookahead,
     )
 
 

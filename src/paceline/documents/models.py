@@ -302,6 +302,8 @@ class FollowModel(Document):
     start: StartModel
     odometry: Text | None = None
     wheelbase: Annotated[float, Field(ge=0.1, le=20)] | None = None
+    camera_ahead: Annotated[float, Field(ge=-5, le=20)] | None = None
+    lookahead: Annotated[float, Field(ge=0, le=10)] | None = None
 
 
 # --- reading -------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from pathlib import Path
 from paceline.blas import on_one_blas_thread
 from paceline.documents.loading import FollowClip, load_follow
 from paceline.errors import UnusableInput
-from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.configuration import VEHICLE_KEYS, FollowConfiguration
 from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.history import History
 from paceline.follow.results import FollowEstimate, FollowResult
@@ -22,16 +22,20 @@ from paceline.version import versions
 
 
 def tracker_for(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowTracker:
-    """A tracker that begins as ``clip`` says: its camera, its target, the operator's start and the wheelbase."""
+    """A tracker that begins as ``clip`` says: its camera, its target, the operator's start, the vehicle steered."""
     document = clip.target
     target = Target(document.name, document.nominal_range, document.corners, document.segments, document.tolerance)
     return FollowTracker(clip.camera, target, clip.center, clip.scale, resolved(clip, configuration))
 
 
 def resolved(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowConfiguration:
-    """The configuration with what ``clip`` itself says put in."""
+    """The configuration with what ``clip`` itself says put in. Raises UnusableInput for a path without odometry."""
     c = configuration or FollowConfiguration()
-    return c if clip.wheelbase is None else c.model_copy(update={"wheelbase": clip.wheelbase})
+    stated = {name: value for name, key in VEHICLE_KEYS.items() if (value := getattr(clip, key)) is not None}
+    goal = c.steering or ("lead" if clip.odometry is None else "path")
+    if goal == "path" and clip.odometry is None:
+        raise UnusableInput(f"{clip.path}: odometry: missing; expected one, as the lead's path is to be steered along")
+    return c.model_copy(update={**stated, "steering": goal})
 
 
 def follow(
@@ -114,10 +118,13 @@ def result_of(
     seconds: float,
 ) -> FollowResult:
     """What ``history`` kept of a run, with what it came from."""
+    c = resolved(clip, configuration)
     return history.result(
         clip=str(clip.path),
         target=clip.target.name,
-        configuration=resolved(clip, configuration).model_dump(),
+        steering_goal=c.steering or "lead",
+        assumed=c.assumed(),
+        configuration=c.model_dump(),
         versions=versions(),
         notices=list(recording.notices),
         seconds=seconds,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from paceline.arrays import Array, Indices
+from paceline.path_following.steering_goal import SteeringGoal
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,7 @@ class FollowEstimate:
     position: Array  # (3,) m
     position_std: Array  # (3,) m
     bearing: float  # rad, positive to the right
-    steering: float  # rad, positive to the right
+    steering: float  # rad, positive to the right; NaN where nothing is steered for
     status: str  # tracking | coasting | lost
     reason: str  # why it does not track, or how it came to; empty otherwise
     residual: float  # px rms of the segments' offsets; NaN where nothing was measured
@@ -55,6 +56,8 @@ class FollowResult:
     reason: list[str]
     residual: Array  # (F,) px
     latency: Array  # (F,) s
+    steering_goal: SteeringGoal
+    assumed: dict[str, float]  # what the steering depends on and nobody has stated, by its key of follow.yaml
     configuration: dict[str, object]
     versions: dict[str, str]
     notices: list[str] = field(default_factory=list)

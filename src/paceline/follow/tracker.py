@@ -65,7 +65,7 @@ class FollowTracker:
         c = self.configuration
         self.probation = Probation(Lock(location, Recogniser(self.projection, c), c), c)
         self.belief = Belief(c)
-        self.steering = Steering(c.steering())
+        self.steering = Steering(c.steering_settings(), c.steering)
         self.pace, self.origin, self.coasting = Pace(), Origin(self.projection), Coasting()
         self._picture = Picture()
         self._time: float | None = None  # of the frame before

@@ -65,6 +65,8 @@ def write_summary(result: FollowResult, tally: Tally, file: Path) -> None:
             "median": finite_quantile(result.latency), "p99": finite_quantile(result.latency, 0.99),
             "max": tally.latency_max,
         },
+        "steering": result.steering_goal,
+        "assumed": result.assumed,
         "duration_s": tally.stop - tally.start,
         "notices": result.notices,
         "configuration": result.configuration,
