@@ -35,6 +35,7 @@ from paceline.simulation.chase.clip import CHASE_PRESETS, render_frames
 from paceline.simulation.random_scenes.drawn import random_chase
 from paceline.targets.learning import learn_target
 from paceline.targets.line_model import Target
+from paceline.targets.stated_width import StatedWidth
 from paceline.units import COVERAGE_95
 
 RATE_HZ = 15.0  # of recordings in folders
@@ -131,7 +132,7 @@ def learned_and_followed(recording: ChaseRecording, k: int, rng: np.random.Gener
     outcome.width_px = float(true_box[2] - true_box[0])
     picture = first.image.astype(np.float32)
     try:
-        learned = learn_target(picture, (x0, y0, x1, y1), recording.width(k), recording.camera, "vehicle")
+        learned = learn_target(picture, (x0, y0, x1, y1), StatedWidth(recording.width(k)), recording.camera, "vehicle")
     except UnusableInput as error:
         outcome.refused = str(error)
         return outcome

@@ -468,6 +468,10 @@ _INFORMATION_ROWS = {
         "{video}: timed by {rate:g} frames/s in place of its own time stamps, which lie {usual_s:.4g} s apart",
         "Take `override` out where the time stamps are true.",
     ),
+    "width_uncertainty_assumed": (
+        "the width is taken as known to ± {percent:g} % (95 %), as nothing is stated of it",
+        "State it beside the width, as in 1.7±0.05: every distance is as uncertain.",
+    ),
     "lines_beyond_sides": (
         "vertical lines lie up to {distance_px:.1f} px outside the vehicle's sides, which are {width_px:.1f} ± "
         "{std_px:.1f} px apart by the box and the edges beside it; the ranges go by the sides",

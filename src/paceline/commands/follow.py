@@ -62,13 +62,14 @@ def _ended(recording: CameraRecording) -> AbstractContextManager[None]:
 
 
 def _print_follow(result: FollowResult, tally: Tally) -> None:
-    from paceline.reports.follow.page import describe_steering, format_percent
+    from paceline.reports.follow.page import describe_steering, describe_width, format_percent
     from paceline.reports.follow.tables import finite_quantile
 
     counts = ", ".join(f"{tally.status[name]} {name}" for name in ("tracking", "coasting", "lost"))
     print(f"{result.target}: tracked in {format_percent(tally.share)} of {tally.frames} frames ({counts})")
     if tally.tracked:
         print(f"distance ahead {tally.range_min:.1f} to {tally.range_max:.1f} m, {tally.range_mean:.1f} m on average")
+        print(f"width of the model {describe_width(result)}: every distance is as uncertain")
     slowest = 1e3 * finite_quantile(result.latency, 0.99)
     print(
         f"processing time {1e3 * finite_quantile(result.latency):.2f} ms per frame, 99 of 100 within {slowest:.2f} ms"

@@ -95,6 +95,7 @@ class TargetDocument:
     corners: Array
     segments: Indices
     tolerance: float = 0.0  # m, standard deviation of the width that the lines have together
+    width_assumed: bool = False  # whether nobody has stated how uncertain the width is
 
     @property
     def ends(self) -> Array:
@@ -241,7 +242,8 @@ def load_target(path: str | Path) -> TargetDocument:
     corners = np.array(list(model.corners.values())).reshape(-1, 2)
     segments = np.array([[place[a], place[b]] for a, b in model.segments], np.int64).reshape(-1, 2)
     _refuse(path, "segments", plausibility.check_target(corners[segments]))
-    return TargetDocument(model.name, model.nominal_range, corners, segments, model.tolerance or 0.0)
+    assumed = model.tolerance is None or model.width_assumed is True
+    return TargetDocument(model.name, model.nominal_range, corners, segments, model.tolerance or 0.0, assumed)
 
 
 def load_follow(path: str | Path) -> FollowClip:

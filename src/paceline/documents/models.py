@@ -285,6 +285,7 @@ class TargetModel(Document):
     corners: dict[Name, Pair]
     segments: list[Annotated[list[Name], Field(min_length=2, max_length=2)]]
     tolerance: Annotated[float, Field(ge=0, le=1)] | None = None
+    width_assumed: bool | None = None
 
 
 class StartModel(Document):

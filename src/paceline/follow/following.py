@@ -6,13 +6,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from paceline.blas import on_one_blas_thread
 from paceline.documents.loading import FollowClip, load_follow
 from paceline.errors import UnusableInput
 from paceline.follow.configuration import VEHICLE_KEYS, FollowConfiguration
 from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.history import History
-from paceline.follow.results import FollowEstimate, FollowResult
+from paceline.follow.results import FollowEstimate, FollowResult, ModelWidth
 from paceline.follow.tracker import FollowTracker, warm_up
 from paceline.progress import Progress
 from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
@@ -122,6 +124,11 @@ def result_of(
     return history.result(
         clip=str(clip.path),
         target=clip.target.name,
+        width=ModelWidth(
+            float(np.ptp(clip.target.ends[:, 0])),
+            max(c.model_tolerance, clip.target.tolerance),
+            clip.target.width_assumed,
+        ),
         steering_goal=c.steering or "lead",
         assumed=c.assumed(),
         configuration=c.model_dump(),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from paceline.follow.results import FollowEstimate, FollowResult
+from paceline.follow.results import FollowEstimate, FollowResult, ModelWidth
 from paceline.path_following.steering_goal import SteeringGoal
 
 OTHER = "other reasons"
@@ -126,6 +126,7 @@ class History:
         self,
         clip: str,
         target: str,
+        width: ModelWidth,
         steering_goal: SteeringGoal,
         assumed: dict[str, float],
         configuration: dict[str, object],
@@ -148,6 +149,7 @@ class History:
             steering=rows[:, 15].copy(),
             residual=rows[:, 16].copy(),
             latency=rows[:, 17].copy(),
+            width=width,
             steering_goal=steering_goal,
             assumed=assumed,
             status=[status for status, _ in self._words],

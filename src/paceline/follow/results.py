@@ -37,6 +37,16 @@ class FollowEstimate:
     latency: float  # s, from the frame's arrival to this estimate; if it was looked at again, what that took
 
 
+@dataclass(frozen=True)
+class ModelWidth:
+    """The width of a target's model and its standard deviation, m: every distance is as uncertain. ``assumed`` where
+    nobody has stated the latter."""
+
+    metres: float
+    std: float
+    assumed: bool
+
+
 @dataclass(frozen=True, eq=False)
 class FollowResult:
     """A whole run: one row per frame in every array."""
@@ -56,6 +66,7 @@ class FollowResult:
     reason: list[str]
     residual: Array  # (F,) px
     latency: Array  # (F,) s
+    width: ModelWidth
     steering_goal: SteeringGoal
     assumed: dict[str, float]  # what the steering depends on and nobody has stated, by its key of follow.yaml
     configuration: dict[str, object]

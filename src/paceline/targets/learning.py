@@ -19,6 +19,7 @@ from paceline.cameras import Camera
 from paceline.documents.loading import TargetDocument
 from paceline.errors import UnusableInput
 from paceline.targets.side_estimation import EDGE_SEARCH_PX, Side, estimate_side, side_edges, width_std
+from paceline.targets.stated_width import ASSUMED_WIDTH_SHARE, StatedWidth
 from paceline.units import COVERAGE_95
 from paceline.verdicts import Message, message
 
@@ -39,7 +40,6 @@ MAX_CORNER_GAP = (3.0, 0.06)  # greatest distance between the ends of two lines 
 GAP_PENALTY = 1.0  # cost of a missing edge point on a line, in points
 MIN_LINES_PER_DIRECTION, MAX_LINES_PER_DIRECTION, MIN_LINES = 2, 7, 5
 MIN_BOX_PX = 16.0
-MIN_BOX_WIDTH_M, MAX_BOX_WIDTH_M = 0.2, 10.0
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,7 @@ class LearnedTarget:
     """A model, and its position in the image from which it was learned: scale 1 with its centre at ``center``."""
 
     target: TargetDocument
+    width: StatedWidth
     center: Array  # (2,) px of the image as recorded
     corners: Array  # (C, 2) px of the image as recorded
     notices: tuple[Message, ...] = ()
@@ -72,19 +73,19 @@ class LearnedTarget:
 
 
 def learn_target(
-    image: Image, box: tuple[float, float, float, float], width: float, camera: Camera, name: str
+    image: Image, box: tuple[float, float, float, float], width: StatedWidth, camera: Camera, name: str
 ) -> LearnedTarget:
     """The line model of the vehicle inside ``box`` (x0, y0, x1, y1) of ``image`` (H, W), 0–255.
 
-    ``width`` in metres is that of the vehicle, whose sides are estimated from the box and the edges beside it; the
-    remaining uncertainty of their distance is the model's tolerance.
+    ``width`` is that of the vehicle, whose sides are estimated from the box and the edges beside it; the remaining
+    uncertainty of their distance, and that of the width itself, are the model's tolerance.
     Raises UnusableInput for a box that cannot be, or that encloses too few lines.
     """
     if image.shape != camera.image_size[::-1]:
         size_text = f"{image.shape[1]} × {image.shape[0]}"
         raise UnusableInput(f"the image has {size_text} pixels, but the camera has {camera.image_size[0]} × "
                             f"{camera.image_size[1]}")  # fmt: skip
-    _check(box, width, camera.image_size)
+    _check(box, camera.image_size)
     x0, y0, x1, y1 = box
     size = np.array([x1 - x0, y1 - y0])
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR_SIGMA_PX), np.float32)
@@ -107,12 +108,20 @@ def learn_target(
     sides = camera.undistort_points(np.array([[side.position, center[1]] for side in (left, right)]))
     f = camera.K[[0, 1], [0, 1]]
     width_px = float(sides[1, 0] - sides[0, 0])
-    nominal_range = f[0] * width / width_px
+    nominal_range = f[0] * width.metres / width_px
     metres = _axis_aligned((ideal - middle) * nominal_range / f, segments)
-    tolerance = width_std(left, right) / width_px * float(np.ptp(metres[:, 0]))
-    target = TargetDocument(name, round(float(nominal_range), 4), np.round(metres, 4), segments, round(tolerance, 4))
-    notices = _lines_beyond_sides(vertical, left, right)
-    return LearnedTarget(target, np.round(center, 2), corners, notices)
+    relative_std = np.hypot(width_std(left, right) / width_px, width.std / width.metres)
+    tolerance = float(relative_std * np.ptp(metres[:, 0]))
+    target = TargetDocument(
+        name, round(float(nominal_range), 4), np.round(metres, 4), segments, round(tolerance, 4), width.assumed
+    )
+    notices = (*_width_assumed(width), *_lines_beyond_sides(vertical, left, right))
+    return LearnedTarget(target, width, np.round(center, 2), corners, notices)
+
+
+def _width_assumed(width: StatedWidth) -> tuple[Message, ...]:
+    """A notice where nobody has stated how uncertain the ``width`` is."""
+    return (message("width_uncertainty_assumed", percent=100 * ASSUMED_WIDTH_SHARE),) if width.assumed else ()
 
 
 def _lines_beyond_sides(vertical: list[Line], left: Side, right: Side) -> tuple[Message, ...]:
@@ -131,7 +140,7 @@ def corner_names(count: int) -> list[str]:
     return [*ascii_lowercase, *map("".join, product(ascii_lowercase, repeat=2))][:count]
 
 
-def _check(box: tuple[float, float, float, float], width: float, image_size: tuple[int, int]) -> None:
+def _check(box: tuple[float, float, float, float], image_size: tuple[int, int]) -> None:
     x0, y0, x1, y1 = box
     box_text = ",".join(f"{v:g}" for v in box)
     if not np.isfinite(box).all() or x1 - x0 < MIN_BOX_PX or y1 - y0 < MIN_BOX_PX:
@@ -139,8 +148,6 @@ def _check(box: tuple[float, float, float, float], width: float, image_size: tup
                             "x0 and y0")  # fmt: skip
     if x0 < -0.5 or y0 < -0.5 or x1 > image_size[0] - 0.5 or y1 > image_size[1] - 0.5:
         raise UnusableInput(f"--box {box_text}: lies outside the image of {image_size[0]} × {image_size[1]} pixels")
-    if not MIN_BOX_WIDTH_M <= width <= MAX_BOX_WIDTH_M:
-        raise UnusableInput(f"--width {width:g}: expected metres, {MIN_BOX_WIDTH_M:g} to {MAX_BOX_WIDTH_M:g}")
 
 
 # --- lines ---------------------------------------------------------------------------------------------------------

@@ -45,6 +45,12 @@ def describe_steering(result: FollowResult) -> str:
     return STEERING_TEXTS[result.steering_goal] + (f"; assumed: {assumed}" if assumed else "")
 
 
+def describe_width(result: FollowResult) -> str:
+    """For example ``1.70 ± 0.05 m (± assumed)``, half of a 95 % interval."""
+    half = format_number(COVERAGE_95 * result.width.std, 2)
+    return f"{format_number(result.width.metres, 2)} ± {half} m" + (" (± assumed)" if result.width.assumed else "")
+
+
 def write_follow_page(
     result: FollowResult, tally: Tally, file: Path, *, plots: list[Plot], stills: list[TargetStill], overlay: bool
 ) -> None:
@@ -65,6 +71,8 @@ def write_follow_page(
         slowest=format_number(1e3 * finite_quantile(result.latency, 0.99), 2),
         advice=advice(tally),
         steering=describe_steering(result),
+        width=describe_width(result),
+        width_share=format_number(100 * COVERAGE_95 * result.width.std / result.width.metres, 1),
         episodes=[_episode_row(e) for e in tally.episodes[:MAX_LISTED_EPISODES]],
         unlisted=tally.episode_count - min(MAX_LISTED_EPISODES, len(tally.episodes)),
         reasons=tally.reasons.most_common(),

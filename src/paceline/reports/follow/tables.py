@@ -46,6 +46,7 @@ def write_summary(result: FollowResult, tally: Tally, file: Path) -> None:
     summary = {
         "clip": result.clip,
         "target": result.target,
+        "width": {"value": result.width.metres, "std": result.width.std, "assumed": result.width.assumed},
         "frames": tally.frames,
         "tracked_share": tally.share,
         "status": {name: tally.status[name] for name in ("tracking", "coasting", "lost")},
