@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,8 @@ from paceline.cameras import Camera
 from paceline.documents.loading import load_target
 from paceline.errors import UnusableInput
 from paceline.reports.target import draw_target, start_entry, target_yaml
-from paceline.targets.learning import Line, corner_names, find_lines, join_lines, learn_target
+from paceline.targets.image_lines import Line, find_lines
+from paceline.targets.learning import corner_names, join_lines, learn_target
 from paceline.targets.stated_width import StatedWidth
 
 CAMERA = Camera((256, 242), np.array(tiny_chase.CAMERA["K"]))
@@ -208,6 +210,11 @@ def test_the_command_writes_a_model_and_its_image(folder: Path) -> None:
     assert {p.name for p in folder.iterdir()} == {"camera.yaml", "van.png", "target.yaml", "target.png"}
     assert load_target(folder / "target.yaml").name == "the van"
     assert "target.png" in done.stdout and "uncertain by ±" in done.stdout and not done.stderr
+    assert re.search(
+        r"\n\d horizontal and \d vertical lines, \d+ % of them mirrored about the middle, with \d\d grey levels of "
+        r"contrast; one image determines its place to ± 0\.\d px and its distance to ± [01]\.\d % \(95 %\)\n",
+        done.stdout,
+    )
     start = yaml.safe_load(done.stdout.splitlines()[-1])["start"]
     assert start["scale"] == 1.0 and len(start["center"]) == 2
     assert cv2.imread(str(folder / "target.png")).shape[0] > 300
@@ -256,6 +263,37 @@ def test_the_command_needs_the_camera_and_the_picture(folder: Path) -> None:
                           "absent.png", "cannot be read")  # fmt: skip
     assert_one_line_error(paceline("target", "learn", "text.png", "--box", "1,2,30,40", *options[2:], folder=folder),
                           "text.png", "not an image")  # fmt: skip
+
+
+def test_a_box_on_a_wall_is_doubted(folder: Path) -> None:
+    """Windows at odd places: lines enough, but none of them mirrored."""
+    wall = np.full((242, 256), 140.0, np.float32)
+    for x, y, width, height in (
+        (52, 40, 22, 34),
+        (96, 60, 14, 26),
+        (128, 44, 34, 20),
+        (58, 96, 40, 24),
+        (122, 84, 16, 44),
+    ):
+        wall[y : y + height, x : x + width] = 60.0
+    cv2.imwrite(str(folder / "van.png"), cv2.GaussianBlur(wall, (0, 0), 0.7))
+    done = learn(folder, box="46,36,176,136")
+    assert done.returncode == 0 and (folder / "target.yaml").exists()
+    assert "% of the lines, by length, are mirrored about the middle (at least 60 %" in done.stderr
+    assert "is the whole rear in the box" in done.stderr
+
+
+@pytest.mark.skipif(not KITTI.exists(), reason="the shared recordings are not here")
+def test_a_real_wall_is_doubted_and_a_real_vehicle_not() -> None:
+    from paceline.documents.loading import load_camera
+
+    image = cv2.imread(str(KITTI / "frames" / "000000.png"), cv2.IMREAD_GRAYSCALE).astype(np.float32)
+    camera = load_camera(KITTI / "camera.yaml")
+    codes = [
+        {notice.code for notice in learn_target(image, box, StatedWidth(1.8), camera, "x").notices}
+        for box in ((556, 190, 641, 262), (46, 5, 169, 92), (328, 108, 474, 227))
+    ]
+    assert codes == [set(), {"target_not_symmetric"}, {"target_not_symmetric"}]
 
 
 @pytest.mark.skipif(not KITTI.exists(), reason="the shared recordings are not here")

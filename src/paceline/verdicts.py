@@ -433,6 +433,20 @@ _WARNING_ROWS = {
         "the {view} camera has no corner at the {parts} (the other camera need not see it)",
         "Add views with the board in these parts of the image.",
     ),
+    "target_not_symmetric": (
+        "only {percent:.0f} % of the lines, by length, are mirrored about the middle (at least {limit:.0f} % of those "
+        "of a vehicle's rear are)",
+        "Look at the lines in the picture: is the whole rear in the box, and nothing else? Draw the box again, or "
+        "learn from a picture in which the vehicle is seen straight from behind.",
+    ),
+    "target_faint": (
+        "half of the lines have less than {contrast:.0f} grey levels of contrast (expected {limit:g} or more)",
+        "Choose a picture in which the vehicle is better lit, or nearer.",
+    ),
+    "target_scale_uncertain": (
+        "one image determines the distance only to ± {percent:.1f} % by these lines (expected ± {limit:.0f} % or less)",
+        "Choose a picture in which the vehicle is nearer, or a camera with a longer focal length.",
+    ),
     "adjustment_unsettled": (
         "the adjustment had not settled; more varied views would help it",
         "Add more varied views of the board.",

@@ -50,6 +50,7 @@ def target_learn(
         raise UnusableInput(f"{image}: {unusable}") from None
     image_file = write_target(learned, picture, out)
     print(f"{len(learned.target.segments)} lines in {out}; look at them in {image_file}")
+    print(learned.quality)
     half_width = COVERAGE_95 * learned.relative_std
     print(
         f"ranges by it are uncertain by ± {half_width:.1%} (95 %), besides what each frame adds; width {learned.width}"

@@ -99,7 +99,9 @@ def learn_model(camera: Camera, picture: Image, frame: int, box: list[float], wi
     if learned.target.width_assumed:
         target["width_assumed"] = True
     start = {"frame": frame, "center": learned.center.tolist(), "scale": 1.0}
-    return {"target": target, "start": start, "notices": [f"{notice}. {notice.advice}" for notice in learned.notices]}
+    notices = [f"{notice}. {notice.advice}" for notice in learned.notices]
+    doubted = bool(learned.quality.doubts())
+    return {"target": target, "start": start, "quality": str(learned.quality), "doubted": doubted, "notices": notices}
 
 
 def centred_start(camera: Camera, target: TargetModel, frame: int) -> Plain:

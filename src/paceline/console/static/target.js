@@ -275,11 +275,12 @@ class TargetEditor extends EditorElement {
 
   async useModel(request, text) {
     try {
-      const { target, start, notices = [] } = await request();
+      const { target, start, quality, doubted = false, notices = [] } = await request();
       this.box = null;
       this.model.change((m) => Object.assign(m, { target, start }));
       this.take("place");
-      this.showMessage([`${target.segments.length} lines ${text}`, ...notices].join(" Note: "));
+      const judged = quality ? ` Found: ${quality}.` : "";
+      this.showMessage([`${target.segments.length} lines ${text}${judged}`, ...notices].join(" Note: "), doubted);
     } catch (error) {
       this.showMessage(error.message, true);
     }

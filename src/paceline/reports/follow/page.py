@@ -22,7 +22,7 @@ PLOT_CAPTIONS = {
     "range": "Distance of the vehicle ahead, with its 95 % interval. In shaded intervals it was not tracked.",
     "bearing": "Direction to the vehicle, and the steering angle, where there is one; positive to the right.",
     "confidence": "How well each frame determines the target’s position and size; higher is better.",
-    "residual": "RMS distance of the vehicle’s edges from the model’s lines; a sudden rise indicates a tracking error.",
+    "residual": "RMS distance of the vehicle’s edges from the model’s lines.",
     "latency": "Time of each frame from its arrival to its estimate.",
 }
 
