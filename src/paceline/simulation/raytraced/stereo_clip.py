@@ -52,8 +52,9 @@ def write(
     Pictures that are there already, from a run that was interrupted, are kept. The same scene gives the same pictures
     bit for bit on the same variant of the renderer. Raises UnusableInput where the scene or the folder cannot be used.
     """
-    directory, variant = Path(directory), variant or default_variant()
     placed = PlacedStereoScene(scene)
+    placed.check_outlines()
+    directory, variant = Path(directory), variant or default_variant()
     renderer = Renderer(placed.static_meshes(), placed.moving_groups(), placed.light, variant)
     truth = placed.truth(renderer)
 
