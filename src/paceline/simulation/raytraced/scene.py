@@ -31,7 +31,7 @@ OFF_SCENE: Placement = (
     np.array([0.0, 0.0, -1e4]),
 )  # below the ground, for a vehicle that is not on the road
 MAX_RELIEF_M = 0.6  # m that a vehicle's own surfaces may lie before its plane
-MIN_PLANE_DEPTH_M = 1.0  # of a plane whose place in the images is in truth.json
+MIN_TRUTH_DEPTH_M = 1.0  # of a plane whose place in the images is in truth.json
 VISIBILITY_GRID = 9, 15  # rows and columns of the points by which the visible share of a plane is estimated
 
 
@@ -165,8 +165,8 @@ class PlacedStereoScene:
                 raise never_outlined(car)
 
     def _is_before_cameras(self, corners: Array) -> bool:
-        """Whether ``corners`` (4, 3) in the world are all at least MIN_PLANE_DEPTH_M before both cameras."""
-        return min(float(view.to_camera(corners)[:, 2].min()) for view in self.views) >= MIN_PLANE_DEPTH_M
+        """Whether ``corners`` (4, 3) in the world are all at least MIN_TRUTH_DEPTH_M before both cameras."""
+        return min(float(view.to_camera(corners)[:, 2].min()) for view in self.views) >= MIN_TRUTH_DEPTH_M
 
     def _approaches(self, motion: VehicleMotion) -> bool:
         """Whether the left camera sees a vehicle from ahead where it is farthest before it: one that overtakes it
