@@ -140,7 +140,7 @@ def learned_and_followed(recording: ChaseRecording, k: int, rng: np.random.Gener
     model = Target(t.name, t.nominal_range, t.corners, t.segments, t.tolerance)
     outcome.error = t.nominal_range / float(first.position[2]) - 1.0
     outcome.std = t.tolerance / float(model.size[0])
-    tracker = FollowTracker(recording.camera, model, learned.center, 1.0, FollowConfiguration())
+    tracker = FollowTracker(recording.camera, model, (*learned.center, 1.0), FollowConfiguration())
     for n, frame in enumerate(recording.frames[k:]):
         add_frame(outcome, frame, tracker.update(frame.image, n / RATE_HZ, n), recording.width(k + n))
     return outcome

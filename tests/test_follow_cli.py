@@ -208,11 +208,16 @@ def test_the_documents_loop_runs(
 ) -> None:
     """The Python of docs/following.md, as it stands there."""
     text = (Path(__file__).parents[1] / "docs" / "following.md").read_text(encoding="utf-8")
-    shortest, live = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    shortest, own, live = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(clip)
     exec(compile(shortest, "following.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == FRAMES and re.fullmatch(r"1\.93 s: [\d.]+ m ahead, tracking", lines[-1])
+    start = tiny_chase.start(0)
+    assert own.count("(597.28, 226.00, 1.0)") == 1  # that of the recording in the text
+    own = own.replace("(597.28, 226.00, 1.0)", str((*start["center"], start["scale"])))
+    exec(compile(own, "following.md", "exec"), {})
+    assert capsys.readouterr().out.splitlines()[-1].startswith("<FollowEstimate frame 29, 1.933 s: tracking, x ")
     exec(compile(live, "following.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == FRAMES

@@ -97,6 +97,16 @@ def report(clip: FollowClip, out: Path) -> Path:
     return out
 
 
+def test_an_estimate_prints_as_one_line() -> None:
+    x, y, z = tiny_chase.truth(7)
+    assert repr(estimate(7)) == str(estimate(7))
+    assert repr(estimate(7)) == (
+        f"<FollowEstimate frame 7, 0.467 s: tracking, x {x:.3f} ± 0.020, y {y:.3f} ± 0.039, z {z:.3f} ± 0.059 m, 95 %, "
+        "steering +0.0200 rad>"
+    )
+    assert "frame 26, 1.733 s: lost (too few lines), x " in repr(run(26))
+
+
 def test_files(out: Path) -> None:
     names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
     plots = [f"plots/{name}.png" for name in ("bearing", "confidence", "latency", "range", "residual")]

@@ -19,15 +19,14 @@ from paceline.follow.tracker import FollowTracker, warm_up
 from paceline.progress import Progress
 from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
 from paceline.recordings.odometry import Odometry, Pose, read_odometry
-from paceline.targets.line_model import Target
+from paceline.targets.line_model import target_of
 from paceline.version import versions
 
 
 def tracker_for(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowTracker:
     """A tracker that begins as ``clip`` says: its camera, its target, the operator's start, the vehicle steered."""
-    document = clip.target
-    target = Target(document.name, document.nominal_range, document.corners, document.segments, document.tolerance)
-    return FollowTracker(clip.camera, target, clip.center, clip.scale, resolved(clip, configuration))
+    start = (*clip.center.tolist(), clip.scale)
+    return FollowTracker(clip.camera, target_of(clip.target), start, resolved(clip, configuration))
 
 
 def resolved(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowConfiguration:

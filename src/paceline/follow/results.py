@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 
 from paceline.arrays import Array, Indices
 from paceline.path_following.steering_goal import SteeringGoal
+from paceline.units import COVERAGE_95
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FollowEstimate:
     """Where the vehicle ahead is at one frame: pixels in the image as recorded, metres in the camera's axes.
 
@@ -35,6 +36,18 @@ class FollowEstimate:
     owners: Indices
     window: tuple[int, int, int, int]
     latency: float  # s, from the frame's arrival to this estimate; if it was looked at again, what that took
+
+    def __repr__(self) -> str:
+        """One line, without the lines and points."""
+        x, y, z = (
+            f"{value:.3f} ± {COVERAGE_95 * std:.3f}"
+            for value, std in zip(self.position, self.position_std, strict=True)
+        )
+        reason = f" ({self.reason})" if self.reason else ""
+        return (
+            f"<FollowEstimate frame {self.frame}, {self.time:.3f} s: {self.status}{reason}, x {x}, y {y}, z {z} m, "
+            f"95 %, steering {self.steering:+.4f} rad>"
+        )
 
 
 @dataclass(frozen=True)
