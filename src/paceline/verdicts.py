@@ -468,6 +468,7 @@ _INFORMATION_ROWS = {
         "needed)",
         "",
     ),
+    "lane_known": ("the lane between lines {first} and {last} is not added: path {path} runs along it", ""),
     "lane_outside_views": (
         "path {path}: too little of it is in both views ({length_px:.0f} px, at least {min_length_px:g} needed)",
         "",
