@@ -162,7 +162,7 @@ def test_the_page_is_complete_and_self_contained(out: Path) -> None:
     ranges = [tiny_chase.truth(k)[2] for k in range(FRAMES) if k not in LOST]
     span = f"{min(ranges):.1f} to {max(ranges):.1f} m ahead"
     assert (
-        f"The small van, 2.00 ± 0.02 m (± assumed) wide, was tracked in 83.3 % of 60 frames, over 3.9 s, {span}."
+        f"The small van, 2.00 ± 0.02 m wide (± assumed), was tracked in 83.3 % of 60 frames, over 3.9 s, {span}."
         in text
     )
     assert "50 tracking, 5 coasting, 5 lost" in text

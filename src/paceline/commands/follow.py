@@ -69,7 +69,7 @@ def _print_follow(result: FollowResult, tally: Tally) -> None:
     print(f"{result.target}: tracked in {format_percent(tally.share)} of {tally.frames} frames ({counts})")
     if tally.tracked:
         print(f"distance ahead {tally.range_min:.1f} to {tally.range_max:.1f} m, {tally.range_mean:.1f} m on average")
-        print(f"width of the model {describe_width(result)}: every distance is as uncertain")
+        print(f"the model is {describe_width(result)}: every distance is as uncertain")
     slowest = 1e3 * finite_quantile(result.latency, 0.99)
     print(
         f"processing time {1e3 * finite_quantile(result.latency):.2f} ms per frame, 99 of 100 within {slowest:.2f} ms"

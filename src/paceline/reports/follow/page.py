@@ -46,9 +46,9 @@ def describe_steering(result: FollowResult) -> str:
 
 
 def describe_width(result: FollowResult) -> str:
-    """For example ``1.70 ± 0.05 m (± assumed)``, half of a 95 % interval."""
+    """For example ``1.70 ± 0.05 m wide``, half of a 95 % interval, and whether that was assumed."""
     half = format_number(COVERAGE_95 * result.width.std, 2)
-    return f"{format_number(result.width.metres, 2)} ± {half} m" + (" (± assumed)" if result.width.assumed else "")
+    return f"{format_number(result.width.metres, 2)} ± {half} m wide" + (" (± assumed)" if result.width.assumed else "")
 
 
 def write_follow_page(
