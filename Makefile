@@ -43,7 +43,7 @@ lint: $(VENV)/installed-for-tests
 	$(BIN)/mypy
 
 results: $(VENV)/installed-for-tests
-	PYTHONPATH=benchmarks OPENBLAS_NUM_THREADS=1 OMP_WAIT_POLICY=passive $(BIN)/python -m zhu2012.document
+	OPENBLAS_NUM_THREADS=1 OMP_WAIT_POLICY=passive $(BIN)/python benchmarks/reproduce.py zhu2012.document
 
 lock:
 	$(LOCK) -o requirements.txt

@@ -71,8 +71,8 @@ class InThisThread:
         return time.thread_time()
 
 
-def operators_start(scene: ChaseScene, first: ChaseTruth) -> tuple[Target, Array, float]:
-    """The target, its centre (2,) in the first picture and its scale, as an operator would give them."""
+def operators_start(scene: ChaseScene, first: ChaseTruth) -> tuple[Target, Array]:
+    """The target, and its centre in the first picture, px, and scale (3,), as an operator would give them."""
     document, start = target_document(scene), start_document(scene, first)
     names = list(document["corners"])
     target = Target(
@@ -81,7 +81,7 @@ def operators_start(scene: ChaseScene, first: ChaseTruth) -> tuple[Target, Array
         np.array(list(document["corners"].values())),
         np.array([[names.index(a), names.index(b)] for a, b in document["segments"]]),
     )
-    return target, np.array(start["center"]), float(start["scale"])
+    return target, np.array([*start["center"], start["scale"]])
 
 
 class Paceline(InThisThread):
@@ -99,8 +99,8 @@ class ViSP:
     """A model-based tracker of ViSP, with Paceline's model and start."""
 
     def __init__(self, program: Path, kind: str, scene: ChaseScene, first: ChaseTruth) -> None:
-        target, center, scale = operators_start(scene, first)
-        start = target.nominal_range / scale * scene.camera.rays(center)
+        target, (*center, scale) = operators_start(scene, first)
+        start = target.nominal_range / scale * scene.camera.rays(np.array(center))
         self.tracker = EdgeTracker(program, kind, scene.camera, target, start)
         self.seconds = 0.0
 

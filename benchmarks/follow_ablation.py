@@ -92,10 +92,10 @@ def _run(item: tuple[str, int], frames: int) -> tuple[str, list[Record]]:
 
 
 def _begin(scene: ChaseScene, first: ChaseTruth, off: tuple[float, float, float], probation: bool) -> FollowTracker:
-    target, center, scale = operators_start(scene, first)
+    target, (*middle, scale) = operators_start(scene, first)
     size = scale * target.size * target.magnification(scene.camera)
-    center = np.clip(center + size * np.array(off[:2]), 0.0, np.array(scene.image_size) - 1.0)
-    return FollowTracker(scene.camera, target, center, scale * off[2], FollowConfiguration(probation=probation))
+    center = np.clip(middle + size * np.array(off[:2]), 0.0, np.array(scene.image_size) - 1.0)
+    return FollowTracker(scene.camera, target, (*center, scale * off[2]), FollowConfiguration(probation=probation))
 
 
 def _verdict(e: FollowEstimate, truth: ChaseTruth, nominal_range: float) -> str:

@@ -35,6 +35,7 @@ from paceline.simulation.chase.clip import CHASE_PRESETS, render_frames
 from paceline.simulation.random_scenes.drawn import random_chase
 from paceline.targets.learning import learn_target
 from paceline.targets.line_model import Target
+from paceline.targets.stated_width import StatedWidth
 from paceline.units import COVERAGE_95
 
 RATE_HZ = 15.0  # of recordings in folders
@@ -131,7 +132,7 @@ def learned_and_followed(recording: ChaseRecording, k: int, rng: np.random.Gener
     outcome.width_px = float(true_box[2] - true_box[0])
     picture = first.image.astype(np.float32)
     try:
-        learned = learn_target(picture, (x0, y0, x1, y1), recording.width(k), recording.camera, "vehicle")
+        learned = learn_target(picture, (x0, y0, x1, y1), StatedWidth(recording.width(k)), recording.camera, "vehicle")
     except UnusableInput as error:
         outcome.refused = str(error)
         return outcome
@@ -139,7 +140,7 @@ def learned_and_followed(recording: ChaseRecording, k: int, rng: np.random.Gener
     model = Target(t.name, t.nominal_range, t.corners, t.segments, t.tolerance)
     outcome.error = t.nominal_range / float(first.position[2]) - 1.0
     outcome.std = t.tolerance / float(model.size[0])
-    tracker = FollowTracker(recording.camera, model, learned.center, 1.0, FollowConfiguration())
+    tracker = FollowTracker(recording.camera, model, (*learned.center, 1.0), FollowConfiguration())
     for n, frame in enumerate(recording.frames[k:]):
         add_frame(outcome, frame, tracker.update(frame.image, n / RATE_HZ, n), recording.width(k + n))
     return outcome

@@ -71,7 +71,11 @@ def test_a_vehicle_ahead_is_learned_from_a_box_and_followed(tmp_path: Path, cons
     x0, y0, x1, y1 = box_of(0)
     corners = [on_screen(tab, 0, p, "pl-target") for p in ([x0, y0], [x0 + 9, y0 + 9], [x1, y1])]
     tab.drag(*corners)
-    tab.run("document.querySelector('pl-target').width.value = '2.0'")
+    assert tab.run("document.querySelector('pl-target').width.value") == ""
+    tab.click("Learn the lines in the box")
+    tab.wait_for("Enter the true width of the vehicle first")
+    tab.run("Object.assign(document.querySelector('pl-target').width, { value: '2.0' })")
+    tab.run("Object.assign(document.querySelector('pl-target').halfWidth, { value: '0.05' })")
     tab.click("Learn the lines in the box")
     tab.wait_for("lines learned")
     z = tiny_chase.truth(0)[2]

@@ -23,6 +23,7 @@ from paceline.console.frames.frame_cache import ChaseFrames
 from paceline.documents.loading import load_follow, load_target
 from paceline.documents.yaml_editing import set_values
 from paceline.errors import UnusableInput
+from paceline.targets.stated_width import StatedWidth
 
 K = np.array([[300.0, 0, 127.5], [0, 310.0, 120.5], [0, 0, 1]])
 
@@ -70,7 +71,7 @@ def test_a_note_comes_with_a_learned_model() -> None:
         picture[y : y + 3, 100:150] = 160.0
     picture[118:150, 88:90] = picture[118:150, 160:162] = 20.0
     camera = Camera((256, 242), K)
-    found = learn_model(camera, picture, 0, [89.2, 99.5, 159.8, 139.5], 1.8, "saloon")
+    found = learn_model(camera, picture, 0, [89.2, 99.5, 159.8, 139.5], StatedWidth(1.8), "saloon")
     (note,) = found["notices"]
     assert "outside the vehicle's sides" in note and "draw the box again" in note
 
@@ -78,9 +79,9 @@ def test_a_note_comes_with_a_learned_model() -> None:
 def test_a_learned_model_equals_that_of_the_command(tmp_path: Path) -> None:
     file = tiny_chase.write(tmp_path, 2)
     pictures, box = ChaseFrames(file), [round(v, 2) for v in box_of(1)]
-    found = learn_model(pictures.camera, pictures.picture(0, 1), 1, box, 2.0, "small van")
+    found = learn_model(pictures.camera, pictures.picture(0, 1), 1, box, StatedWidth(2.0), "small van")
     picture, out = tmp_path / "frames" / "0001.png", tmp_path / "learned.yaml"
-    given = ["--box", ",".join(map(str, box)), "--width", "2", "--camera", tmp_path / "camera.yaml", "-o", out]
+    given = ["--box", ",".join(map(str, box)), "--width", "2±0", "--camera", tmp_path / "camera.yaml", "-o", out]
     assert paceline("target", "learn", picture, *given, "--name", "small van").returncode == 0
     by_command, before = load_target(out), read_follow_setup(file)
     saved = save_follow_setup(file, pictures.camera, FollowSetup(found["target"], found["start"], before.revision))
@@ -98,7 +99,7 @@ def test_a_box_without_lines_is_refused(tmp_path: Path) -> None:
     pictures = ChaseFrames(tiny_chase.write(tmp_path, 2))
     for box, words in (([5.0, 5.0, 40.0, 40.0], "the box shows"), ([9.0, 9.0, 8.0, 8.0], "^box 9,9,8,8")):
         with pytest.raises(UnusableInput, match=words):
-            learn_model(pictures.camera, pictures.picture(0, 0), 0, box, 2.0, "x")
+            learn_model(pictures.camera, pictures.picture(0, 0), 0, box, StatedWidth(2.0), "x")
 
 
 def test_only_the_start_is_written_where_the_model_is_the_same(tmp_path: Path) -> None:
@@ -251,6 +252,15 @@ def test_target_routes_need_a_follow_yaml_inside_the_folder(tmp_path: Path) -> N
         for wrong in ({}, {"box": [1, 2, 3]}, {"box": [1, 2, 3, "4"], "frame": 0, "width": 1},
                       {"box": [1, 2, 99, 99], "frame": 9, "width": 1}):  # fmt: skip
             assert ask(client, "POST", "/api/learn?clip=drive", wrong).status_code == 422
+        learned = {"box": box_of(1), "frame": 1, "width": 2.0}
+        states = {None: True, 0.05: False}
+        for half_width, assumed in states.items():
+            found = ask(client, "POST", "/api/learn?clip=drive", {**learned, "half_width": half_width}).json()
+            assert found["target"].get("width_assumed", False) == assumed
+            assert found["target"]["tolerance"] > 0.02 and any("± 3 %" in n for n in found["notices"]) == assumed
+        for wrong in ({"width": None}, {"half_width": "0.05"}, {"half_width": 1.5}):
+            answer = ask(client, "POST", "/api/learn?clip=drive", {**learned, **wrong})
+            assert answer.status_code == 422 and "--" not in answer.json()["reason"]
         assert client.get("/api/frame?clip=drive&view=0&frame=1", headers=SAME).status_code == 200
         assert client.get("/api/frame?clip=drive&view=1&frame=1", headers=SAME).status_code == 422
         file = root / "drive" / "follow.yaml"

@@ -108,6 +108,45 @@ def test_the_summary_is_right(followed: tuple[Done, Path]) -> None:
     assert found["configuration"]["wheelbase"] > 0 and "paceline" in found["versions"]
 
 
+def test_without_odometry_it_is_said_that_the_lead_itself_is_steered_for(followed: tuple[Done, Path]) -> None:
+    done, out = followed
+    words = (
+        "towards the lead itself and not along its path, so that it cuts the corner in bends; "
+        "assumed: wheelbase 2.8 m, camera 1.5 m ahead of the rear axle"
+    )
+    assert f"steering: {words}\n" in done.stdout
+    assert f"Steering angle:</strong> {words}." in (out / "report.html").read_text()
+    assert (summary(out)["steering"], summary(out)["assumed"]) == ("lead", {"wheelbase": 2.8, "camera_ahead": 1.5})
+
+
+def test_the_width_is_stated_first_and_is_part_of_every_interval(clip: Path, tmp_path: Path) -> None:
+    target = {**tiny_chase.TARGET, "tolerance": 0.05, "width_assumed": True}
+    (clip / "target.yaml").write_text(yaml.safe_dump(target))
+    change(clip, start=tiny_chase.start(FRAMES - 4))
+    done = paceline("follow", clip, "-o", tmp_path / "out", "--no-overlay")
+    assert "the model is 2.00 ± 0.10 m wide (± assumed)" in done.stdout
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "The small van, 2.00 ± 0.10 m wide (± assumed), was tracked" in page
+    assert "Its width alone makes each distance uncertain by ±&nbsp;4.9&nbsp;%." in page
+    assert summary(tmp_path / "out")["width"] == {"value": 2.0, "std": 0.05, "assumed": True}
+    for row in rows(tmp_path / "out"):
+        assert float(row["z_std_m"]) > 0.025 * float(row["z_m"])
+
+
+def test_no_steering_leaves_the_column_empty(clip: Path, tmp_path: Path) -> None:
+    change(clip, start=tiny_chase.start(FRAMES - 4))
+    done = paceline("follow", clip, "-o", tmp_path / "out", "--no-overlay", "--steering", "none")
+    assert done.returncode == 0, done.stderr
+    assert {row["steering_rad"] for row in rows(tmp_path / "out")} == {""}
+    assert (summary(tmp_path / "out")["steering"], summary(tmp_path / "out")["assumed"]) == ("none", {})
+
+
+def test_a_path_cannot_be_steered_along_without_odometry(clip: Path, tmp_path: Path) -> None:
+    done = paceline("follow", clip, "-o", tmp_path / "out", "--steering", "path")
+    assert_one_line_error(done, "follow.yaml: odometry: missing")
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_overlay_plays_with_the_recordings_times(followed: tuple[Done, Path]) -> None:
     with av.open(str(followed[1] / "overlay.mp4")) as container:
         frames = list(container.decode(video=0))
@@ -141,9 +180,11 @@ def test_odometry_and_wheelbase_steer(clip: Path, tmp_path: Path) -> None:
     for turn in (0.0, 0.4):
         drive = [f"{k},{0.5 * k},0,{turn * k / 15}" for k in range(FRAMES)]
         (clip / "odometry.csv").write_text("\n".join(["frame,x_m,y_m,heading_rad", *drive]) + "\n")
-        change(clip, odometry="odometry.csv", wheelbase=3.3)
+        change(clip, odometry="odometry.csv", wheelbase=3.3, lookahead=1.0)
         assert paceline("follow", clip, "-o", tmp_path / "out", "--no-overlay").returncode == 0
-        assert summary(tmp_path / "out")["configuration"]["wheelbase"] == 3.3
+        found = summary(tmp_path / "out")
+        assert (found["configuration"]["wheelbase"], found["configuration"]["lookahead_time"]) == (3.3, 1.0)
+        assert (found["steering"], found["assumed"]) == ("path", {"camera_ahead": 1.5})
         angles.append(np.array([float(r["steering_rad"]) for r in rows(tmp_path / "out")]))
     assert np.isfinite(angles).all()
     assert np.abs(angles[0] - angles[1]).max() > 0.01
@@ -167,11 +208,16 @@ def test_the_documents_loop_runs(
 ) -> None:
     """The Python of docs/following.md, as it stands there."""
     text = (Path(__file__).parents[1] / "docs" / "following.md").read_text(encoding="utf-8")
-    shortest, live = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    shortest, own, live = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(clip)
     exec(compile(shortest, "following.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == FRAMES and re.fullmatch(r"1\.93 s: [\d.]+ m ahead, tracking", lines[-1])
+    start = tiny_chase.start(0)
+    assert own.count("(597.28, 226.00, 1.0)") == 1  # that of the recording in the text
+    own = own.replace("(597.28, 226.00, 1.0)", str((*start["center"], start["scale"])))
+    exec(compile(own, "following.md", "exec"), {})
+    assert capsys.readouterr().out.splitlines()[-1].startswith("<FollowEstimate frame 29, 1.933 s: tracking, x ")
     exec(compile(live, "following.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == FRAMES

@@ -39,10 +39,15 @@ def refusal() -> str:
 
 
 def test_a_recording_is_read_whole() -> None:
-    put("follow", FOLLOW | {"odometry": "odometry.csv", "wheelbase": 2.7, "bit_depth": 12})
+    put(
+        "follow",
+        FOLLOW
+        | {"odometry": "odometry.csv", "wheelbase": 2.7, "camera_ahead": -0.4, "lookahead": 1.1, "bit_depth": 12},
+    )
     clip = load_follow("follow.yaml")
     assert (clip.video, clip.rate, clip.bit_depth, clip.frame) == ("frames", 15, 12, 0)
     assert (clip.odometry, clip.wheelbase) == (Path("odometry.csv"), 2.7)
+    assert (clip.camera_ahead, clip.lookahead) == (-0.4, 1.1)
     assert clip.scale == pytest.approx(10 / 8.5)
     np.testing.assert_allclose(clip.center, tiny_chase.start()["center"])
     assert clip.camera.image_size == (256, 242)
@@ -108,6 +113,7 @@ def test_corners_may_be_numbers() -> None:
         ("follow", "start", None, ["start", "missing"]),
         ("follow", "rate", 0, ["rate", "at least 0.1"]),
         ("follow", "wheelbase", 0, ["wheelbase", "at least 0.1"]),
+        ("follow", "lookahead", -1, ["lookahead", "at least 0"]),
         ("follow", "camera", "absent.yaml", ["absent.yaml", "no such file"]),
         ("follow", "vidoe", "x", ["'vidoe'", "did you mean 'video'?"]),
         ("camera", "K.0.0", -300.0, ["camera.yaml: K", "positive focal lengths"]),

@@ -20,7 +20,7 @@ from paceline.documents.loading import FollowClip, load_follow
 from paceline.follow.following import follow_recording
 from paceline.follow.hindsight import at_once
 from paceline.follow.history import History
-from paceline.follow.results import FollowEstimate
+from paceline.follow.results import FollowEstimate, ModelWidth
 from paceline.recordings.monocular import CameraFrame, CameraRecording
 from paceline.reports.follow import report as follow_report
 from paceline.reports.follow.overlay import StillSelection, draw_frame
@@ -29,6 +29,7 @@ from paceline.reports.follow.plots import follow_plots
 from paceline.reports.follow.report import follow_and_report
 
 NAN = float("nan")
+WIDTH = ModelWidth(2.0, 0.01, False)
 FRAMES = 60
 LOST = range(20, 30)
 
@@ -96,6 +97,16 @@ def report(clip: FollowClip, out: Path) -> Path:
     return out
 
 
+def test_an_estimate_prints_as_one_line() -> None:
+    x, y, z = tiny_chase.truth(7)
+    assert repr(estimate(7)) == str(estimate(7))
+    assert repr(estimate(7)) == (
+        f"<FollowEstimate frame 7, 0.467 s: tracking, x {x:.3f} ± 0.020, y {y:.3f} ± 0.039, z {z:.3f} ± 0.059 m, 95 %, "
+        "steering +0.0200 rad>"
+    )
+    assert "frame 26, 1.733 s: lost (too few lines), x " in repr(run(26))
+
+
 def test_files(out: Path) -> None:
     names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
     plots = [f"plots/{name}.png" for name in ("bearing", "confidence", "latency", "range", "residual")]
@@ -150,7 +161,10 @@ def test_the_page_is_complete_and_self_contained(out: Path) -> None:
     text = " ".join(page.text.split())
     ranges = [tiny_chase.truth(k)[2] for k in range(FRAMES) if k not in LOST]
     span = f"{min(ranges):.1f} to {max(ranges):.1f} m ahead"
-    assert f"The small van was tracked in 83.3 % of 60 frames, over 3.9 s, {span}." in text
+    assert (
+        f"The small van, 2.00 ± 0.02 m wide (± assumed), was tracked in 83.3 % of 60 frames, over 3.9 s, {span}."
+        in text
+    )
     assert "50 tracking, 5 coasting, 5 lost" in text
     assert "<td>20 to 29</td><td>1.33</td><td>1.93</td><td>lost</td><td>too few lines</td>" in html
     assert "typically known within ± 0.06 m" in text  # 1.96 times 0.03
@@ -189,7 +203,7 @@ def test_plots_of_short_runs(status: str, count: int) -> None:
     history = History()
     for k in range(count):
         history.add(estimate(k, status))
-    plots = follow_plots(history.result("c", "t", {}, {}, [], 1.0))
+    plots = follow_plots(history.result("c", "t", WIDTH, "lead", {}, {}, {}, [], 1.0))
     assert [p.name for p in plots] == ["range", "bearing", "confidence", "residual", "latency"]
     assert all(p.png and "mathdefault" not in p.svg for p in plots)
 
@@ -202,7 +216,7 @@ def test_plots_count_from_the_first_frame() -> None:
     for k in range(0, 60, 15):
         early.add(run(k))
         late.add(replace(run(k), time=run(k).time + begun))
-    plots = [follow_plots(history.result("c", "t", {}, {}, [], 1.0)) for history in (early, late)]
+    plots = [follow_plots(history.result("c", "t", WIDTH, "lead", {}, {}, {}, [], 1.0)) for history in (early, late)]
     assert [a.svg for a in plots[0]] == [b.svg for b in plots[1]]
 
 
@@ -232,7 +246,7 @@ def test_long_runs_are_thinned_evenly() -> None:
     history = History(keep=16)
     for k in range(100):
         history.add(estimate(k))
-    frames = history.result("c", "t", {}, {}, [], 1.0).frame
+    frames = history.result("c", "t", WIDTH, "lead", {}, {}, {}, [], 1.0).frame
     assert history.every == 8
     np.testing.assert_array_equal(frames, np.arange(0, 100, 8))
     assert history.tally.frames == 100
@@ -242,7 +256,7 @@ def test_everything_is_kept_where_that_is_wanted() -> None:
     history = History(keep=None)
     for k in range(3000):
         history.add(estimate(k % 60))
-    assert len(history.result("c", "t", {}, {}, [], 1.0).frame) == 3000
+    assert len(history.result("c", "t", WIDTH, "lead", {}, {}, {}, [], 1.0).frame) == 3000
 
 
 def test_stills_are_spread_over_the_run() -> None:

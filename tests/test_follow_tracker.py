@@ -92,7 +92,7 @@ def film(frames=45, seed=0, bounce=3.0, camera=CAMERA, beside=0.0):
 
 def begin(position, camera=CAMERA, configuration=None, off=(0.5, -0.4), size=1.005):
     center = camera.distort_points(CAMERA.project(position)) + off
-    return FollowTracker(camera, TARGET, center, 10.0 / position[2] * size, configuration)
+    return FollowTracker(camera, TARGET, (*center, 10.0 / position[2] * size), configuration)
 
 
 def follow(tracker, images, times=None, start=0):
@@ -241,7 +241,7 @@ def test_a_target_that_goes_is_lost_and_nothing_else_is_taken_for_it(clip):
 def test_a_start_on_something_else_is_never_tracked():
     images, positions = film(30, seed=1)
     for center in ([40.0, 60.0], [215.0, 200.0]):
-        estimates = follow(FollowTracker(CAMERA, TARGET, np.array(center), 0.9), images)
+        estimates = follow(FollowTracker(CAMERA, TARGET, (*center, 0.9)), images)
         wrong = [e for e in estimates if e.status == "tracking" and abs(e.position[0] - positions[e.frame][0]) > 0.5]
         assert len(wrong) <= 1, center
 
@@ -474,7 +474,7 @@ def test_a_lock_is_not_put_back_to_where_much_is_hidden(clip, back, believed):
 
 def test_a_learned_width_is_no_truer_for_a_target_that_is_tall():
     tall = Target("lorry", 10.0, CORNERS * [0.8, 1.8], TARGET.segments, 0.04)
-    tracker = FollowTracker(CAMERA, tall, np.array([127.5, 120.5]), 0.7)
+    tracker = FollowTracker(CAMERA, tall, (127.5, 120.5, 0.7))
     estimate = tracker.update(np.full((242, 256), 90, np.uint8), 0.0, 0)
     z = estimate.position[2]
     assert estimate.position_std[2] >= 0.04 * z / 1.6
@@ -494,7 +494,7 @@ def test_a_target_whose_lamps_are_switched_is_followed(greys, monkeypatch):
     for k, position in enumerate(positions):
         monkeypatch.setattr(f"{__name__}.FACES", [*body, *((lamp, greys[k >= 8]) for lamp in lamps)])
         images.append(draw(position, wall, (0.0, 0.0), rng))
-    tracker = FollowTracker(CAMERA, target, CAMERA.project(positions[0]), 10.0 / 9.0)
+    tracker = FollowTracker(CAMERA, target, (*CAMERA.project(positions[0]), 10.0 / 9.0))
     estimates = follow(tracker, images)
     assert [e.status for e in estimates] == ["tracking"] * 24
     off, aside = errors(estimates, positions)
@@ -520,7 +520,7 @@ def test_a_light_lorry_before_the_sky_is_followed_while_shadows_dance_over_it(se
         shaded = [((x0, y0, min(x1, edge), y1), 0.3 * grey) for (x0, y0, x1, y1), grey in lorry if x0 < edge]
         monkeypatch.setattr(f"{__name__}.FACES", [*lorry, *shaded])
         images.append(draw(position, behind, (0.0, 0.0), rng))
-    tracker = FollowTracker(CAMERA, target, CAMERA.project(positions[0]), 10.0 / positions[0][2])
+    tracker = FollowTracker(CAMERA, target, (*CAMERA.project(positions[0]), 10.0 / positions[0][2]))
     estimates = follow(tracker, images)
     assert {e.status for e in estimates} == {"tracking"}
     off, aside = errors(estimates, positions)
@@ -546,7 +546,7 @@ def test_a_frame_of_another_size_is_refused_in_one_line(clip):
 )
 def test_a_start_that_cannot_be_is_refused(center, scale, message):
     with pytest.raises(ValueError, match=message):
-        FollowTracker(CAMERA, TARGET, np.array(center), scale)
+        FollowTracker(CAMERA, TARGET, (*center, scale))
 
 
 def test_a_frame_of_another_kind_or_without_a_time_changes_nothing(clip):
@@ -632,7 +632,7 @@ def test_a_model_of_doubtful_width_has_wide_ranges() -> None:
     doubtful = Target(TARGET.name, TARGET.nominal_range, TARGET.corners, TARGET.segments, tolerance=0.06)
     image = draw((0.1, 0.2, 9.0), scenery(1), (0, 0), np.random.default_rng(1))
     sure, unsure = (
-        FollowTracker(CAMERA, target, (127.5 + 300 * 0.1 / 9, 120.5 + 300 * 0.2 / 9), 10 / 9).update(image, 0.0, 0)
+        FollowTracker(CAMERA, target, (127.5 + 300 * 0.1 / 9, 120.5 + 300 * 0.2 / 9, 10 / 9)).update(image, 0.0, 0)
         for target in (TARGET, doubtful)
     )
     assert sure.status == unsure.status == "tracking"

@@ -91,6 +91,18 @@ def test_lanes_of_a_painted_road_become_paths_that_can_be_measured_along(clip: P
     for name in ("left", "right"):
         assert cv2.imread(str(clip / f"lanes-{name}.png")).shape == (*SIZE[::-1], 3)
 
+    site = clip / "site.yaml"  # the same lanes by a site: none is added again
+    site.write_text("rig: rig.yaml\n" + text[text.index("paths:") :])
+    again = "left: left\nright: right\nrate: 5\nsite: site.yaml\n"
+    (clip / "again.yaml").write_text(again)
+    done = paceline("lanes", clip / "again.yaml", "--in-place")
+    assert done.returncode == 0, done.stderr
+    for k in (1, 2):
+        assert (
+            f"left out: the lane between lines {k} and {k + 1} is not added: path lane{k} runs along it" in done.stdout
+        )
+    assert "Nothing was added" in done.stdout and (clip / "again.yaml").read_text() == again
+
 
 def test_too_few_frames_are_reported(clip: Path, tmp_path: Path) -> None:
     for name in ("left", "right"):

@@ -20,7 +20,7 @@ from paceline.path_following.pure_pursuit import (
 )
 from paceline.recordings.odometry import Pose
 
-C = FollowConfiguration().steering()
+C = FollowConfiguration().steering_settings()
 
 
 def test_world_and_camera_are_inverse_to_each_other():
@@ -50,6 +50,20 @@ def test_without_odometry_the_vehicle_itself_is_pursued():
     angle = Steering(C).angle(0.0, 10.0, 1.0, True, None)
     assert angle == pytest.approx(pure_pursuit(10.0 + C.camera_ahead, 1.0, C.wheelbase))
     assert Steering(C).angle(0.0, 0.2, 5.0, True, None) == C.steering_limit
+
+
+def test_what_is_steered_for_is_the_callers_choice():
+    """A lead that has turned off to the right: the path is still straight at the lookahead."""
+    turned = {}
+    for goal in ("path", "lead", "none", None):
+        steering = Steering(C, goal)
+        assert np.isnan(steering.angle(0.0, 12.0, 0.0, True, None)) == (goal in ("path", "none"))
+        for k in range(30):  # the lead turns after 24 m
+            steering.angle(k / 15, 12.0, max(0.0, k - 24.0), True, Pose(0.5 * k, 0.0, 0.0))
+        turned[goal] = steering.angle(2.0, 12.0, 5.0, True, Pose(15.0, 0.0, 0.0))
+    assert turned["lead"] == pytest.approx(pure_pursuit(12.0 + C.camera_ahead, 5.0, C.wheelbase))
+    assert turned["path"] == turned[None] and abs(turned["path"]) < 0.2 * turned["lead"]
+    assert np.isnan(turned["none"])
 
 
 def drive(path, gap, seconds=60.0, odometry=True):

@@ -126,14 +126,6 @@ def test_another_scene_does_not_go_into_the_same_folder(written: Path, tmp_path:
 
 
 @pytest.mark.slow
-def test_a_vehicle_that_is_never_visible_is_reported(tmp_path: Path) -> None:
-    away = {"id": "v9", "start": 79.0, "speed": 1.0, "oncoming": True}
-    with pytest.raises(UnusableInput, match="vehicle v9: is never wholly visible"):
-        write_speed(speed(vehicles=[away], road={"length": 300.0}, frames=2), tmp_path / "clip")
-    assert not (tmp_path / "clip").exists()
-
-
-@pytest.mark.slow
 def test_videos_keep_their_times(tmp_path: Path) -> None:
     scene = speed(sensor={"image_format": "h264", "color": True, "quality": 95}, dropped=[1], frames=4, skew=0.004)
     clip = load_clip(write_speed(scene, tmp_path / "clip"))

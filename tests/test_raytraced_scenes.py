@@ -27,6 +27,7 @@ from paceline.simulation.random_scenes.raytraced import (
 from paceline.simulation.raytraced import named_scenes
 from paceline.simulation.raytraced.scene import PlacedStereoScene, make_rigs
 from paceline.simulation.raytraced.scene_yaml import FollowScene, SpeedScene, load_follow_scene, load_speed_scene
+from paceline.simulation.raytraced.stereo_clip import write as write_stereo_clip
 from paceline.simulation.vehicle_catalogue import RAYTRACED_KINDS
 from paceline.units import MPS_PER_MPH
 
@@ -168,6 +169,49 @@ def test_a_vehicle_that_overtakes_the_cameras_shows_its_rear() -> None:
     depths = [overtaking.views[0].to_camera(overtaking.vehicles[0].motion.pose(t)[1])[2] for t in overtaking.times[0]]
     assert depths[0] < 0 < depths[-1]
     assert overtaking.vehicles[0].plane.end == "rear"
+
+
+def test_both_directions_can_be_simulated_from_the_start() -> None:
+    """One vehicle comes from far away; the other begins beside the cameras, out of their view, and drives away."""
+    eye = place_scene().scene.rig.eye.along
+    cars = [
+        {"id": "v0", "start": 60.0, "speed": 12.0, "lane": 0, "oncoming": True},
+        {"id": "v1", "start": eye, "speed": 12.0, "lane": 1},
+    ]
+    placed = place_scene(vehicles=cars, frames=25)
+    assert [car.plane.end for car in placed.vehicles] == ["front", "rear"]
+    placed.check_outlines()
+    assert all(frames_inside(placed, i) >= 3 for i in (0, 1))
+
+
+def test_the_face_is_the_one_that_is_first_in_view() -> None:
+    """On a closed bend a vehicle comes nearer and then drives away: where it is farthest ahead it shows its rear."""
+    rig = {
+        "image_size": [1280, 960],
+        "focal": 1000.0,
+        "eye": {"along": 60.0, "right": -20.0, "height": 2.0},
+        "target": {"along": 60.0, "right": 0.0, "height": 0.5},
+    }
+    car = {"id": "v0", "start": 15.0, "speed": 10.0, "lane": 1}
+    placed = place_scene(road={"kind": "circle", "radius": 25.0, "length": 130.0}, rig=rig, vehicles=[car], frames=112)
+    first, last = (placed.vehicles[0].motion.pose(t) for t in placed.times[0, [0, -1]])
+    sides = [(placed.views[0].centre - origin) @ R[:, 0] for R, origin in (first, last)]
+    assert sides[0] > 0 > sides[1]
+    assert placed.vehicles[0].plane.end == "front"
+
+
+def test_a_vehicle_out_of_view_is_refused_before_the_scene_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("a mesh was built")
+
+    monkeypatch.setattr(PlacedStereoScene, "static_meshes", refuse)
+    away = {"id": "v9", "start": 79.0, "speed": 1.0, "oncoming": True}
+    scene = SpeedScene.model_validate(tiny_speed(vehicles=[away], road={"length": 300.0}, frames=2))
+    with pytest.raises(UnusableInput, match="vehicle v9: is never wholly visible and 24 px wide"):
+        write_stereo_clip(scene, tmp_path / "clip")
+    assert not (tmp_path / "clip").exists()
 
 
 def test_wheels_roll_without_slipping() -> None:

@@ -57,6 +57,42 @@ def test_every_script_makes_an_item_and_can_be_run(
     assert " ".join(item.title.split()) in " ".join(capsys.readouterr().out.split())
 
 
+def reproduce(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int | str | None:
+    """The exit status of benchmarks/reproduce.py."""
+    monkeypatch.setattr(sys, "argv", ["reproduce.py", *arguments])
+    monkeypatch.delitem(sys.modules, arguments[0], raising=False)
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(BENCHMARKS / "reproduce.py"), run_name="__main__")
+    return ended.value.code
+
+
+def test_an_item_is_reproduced_by_the_documented_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = r"^`\.venv/bin/python benchmarks/reproduce\.py (.+)` — [1-9]\d* processor seconds"
+    commands = re.findall(command, TEXT, re.MULTILINE)
+    assert sorted(commands) == SCRIPTS and "PYTHONPATH" not in TEXT
+    assert reproduce(monkeypatch, "zhu2012.table_1a", "--help") == 0
+    assert "Table I(a)" in capsys.readouterr().out
+
+
+def test_without_the_extra_one_line_names_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert 'pip install -e ".[simulation]"' in TEXT
+    importlib.import_module("zhu2012.table_1a")
+    monkeypatch.setattr(sys.modules["zhu2012.reproductions"], "BUILD", tmp_path)
+    monkeypatch.setattr("paceline.simulation.raytraced.stereo_clip.default_variant", lambda: "scalar_rgb")
+    monkeypatch.setitem(sys.modules, "mitsuba", None)  # as where it is not installed
+    assert reproduce(monkeypatch, "zhu2012.table_1a") == 2
+    told = capsys.readouterr().err
+    assert (
+        told.count("\n") == 1
+        and told.startswith("zhu2012.table_1a: rendering needs Mitsuba")
+        and "`simulation`" in told
+    )
+
+
 def test_every_script_is_in_the_document(writer: ModuleType) -> None:
     assert sorted(item.script for item in writer.REPRODUCTIONS) == SCRIPTS
     assert len({item.name for item in writer.REPRODUCTIONS}) == len(writer.REPRODUCTIONS)

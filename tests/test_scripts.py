@@ -56,7 +56,11 @@ def test_a_benchmark_states_its_command(
 
 
 def test_there_is_a_test_for_every_script_of_the_examples() -> None:
-    assert {file.name for file in EXAMPLES.glob("*.py")} == {"make_chase_clip.py", "make_demo_clip.py"}
+    assert {file.name for file in EXAMPLES.glob("*.py")} == {
+        "follow_ros2.py",  # in test_follow_example.py
+        "make_chase_clip.py",
+        "make_demo_clip.py",
+    }
 
 
 @pytest.mark.slow

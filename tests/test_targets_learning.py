@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,9 @@ from paceline.cameras import Camera
 from paceline.documents.loading import load_target
 from paceline.errors import UnusableInput
 from paceline.reports.target import draw_target, start_entry, target_yaml
-from paceline.targets.learning import Line, corner_names, find_lines, join_lines, learn_target
+from paceline.targets.image_lines import Line, find_lines
+from paceline.targets.learning import corner_names, join_lines, learn_target
+from paceline.targets.stated_width import StatedWidth
 
 CAMERA = Camera((256, 242), np.array(tiny_chase.CAMERA["K"]))
 KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti_lead"
@@ -36,7 +39,7 @@ def van(frame: int, margin: float = 1.5) -> tuple[np.ndarray, tuple[float, float
 @pytest.mark.parametrize("frame", [0, 11, 25, 40])
 def test_lines_are_found_where_they_are(frame: int) -> None:
     image, box, (_, _, z) = van(frame)
-    learned = learn_target(image, box, 2.0, CAMERA, "van")
+    learned = learn_target(image, box, StatedWidth(2.0), CAMERA, "van")
     target = learned.target
     a, b = target.corners[target.segments[:, 0]], target.corners[target.segments[:, 1]]
     horizontal, vertical = a[:, 1] == b[:, 1], a[:, 0] == b[:, 0]
@@ -57,7 +60,7 @@ def test_lines_are_found_where_they_are(frame: int) -> None:
 
 def test_the_start_is_where_the_model_lies() -> None:
     image, box, (x, _, z) = van(7)
-    learned = learn_target(image, box, 2.0, CAMERA, "van")
+    learned = learn_target(image, box, StatedWidth(2.0), CAMERA, "van")
     assert learned.center[0] == pytest.approx(tiny_chase.CX + tiny_chase.F * x / z, abs=0.15)
     drawn = learned.center + learned.target.corners * tiny_chase.F / learned.target.nominal_range
     np.testing.assert_allclose(drawn, learned.corners, atol=0.02)  # to the hundredth that the centre is rounded to
@@ -72,7 +75,7 @@ def test_a_lens_does_not_bend_the_model() -> None:
     u, v = np.meshgrid(np.arange(256.0), np.arange(242.0))
     ideal = bent.undistort_points(np.stack([u, v], -1).reshape(-1, 2)).astype(np.float32).reshape(242, 256, 2)
     recorded = cv2.remap(image, ideal, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    target = learn_target(recorded, box, 2.0, bent, "van").target
+    target = learn_target(recorded, box, StatedWidth(2.0), bent, "van").target
     ends = target.corners[target.segments]
     upright = np.ptp(ends[:, :, 0], axis=1) < np.ptp(ends[:, :, 1], axis=1)
     assert np.abs(np.ptp(ends, axis=1).min(axis=1)).max() < 1e-9
@@ -83,7 +86,7 @@ def test_a_lens_does_not_bend_the_model() -> None:
 
 def test_the_file_reads_back(tmp_path: Path) -> None:
     image, box, _ = van(3)
-    learned = learn_target(image, box, 2.0, CAMERA, "Anna's van: #1")
+    learned = learn_target(image, box, StatedWidth(2.0), CAMERA, "Anna's van: #1")
     (tmp_path / "target.yaml").write_text(target_yaml(learned))
     target = load_target(tmp_path / "target.yaml")
     assert target.name == "Anna's van: #1"
@@ -102,7 +105,7 @@ def test_a_wheel_beside_a_faint_side_is_not_taken_for_it() -> None:
     image[100:141, 157:] = 60.0  # the rest of the right half has the body's grey
     image[133:141, 153:159] = 10.0
     image = cv2.GaussianBlur(image, (0, 0), 0.6)
-    learned = learn_target(image, (99.5, 99.5, 156.5, 140.5), 2.0, CAMERA, "van")
+    learned = learn_target(image, (99.5, 99.5, 156.5, 140.5), StatedWidth(2.0), CAMERA, "van")
     f, sides = tiny_chase.F, 57.0
     assert learned.center[0] == pytest.approx(128.0, abs=0.2)
     assert learned.target.nominal_range == pytest.approx(f * 2.0 / sides, rel=0.007)
@@ -118,7 +121,7 @@ def test_the_uncertainty_of_the_width_is_that_of_the_model() -> None:
         rng = np.random.default_rng([frame, 1])
         size = np.array([[-1.0, -0.75], [1.0, 0.75]]) * tiny_chase.F / far
         box = (np.array([tiny_chase.CX, tiny_chase.CY]) + np.array([x, y]) * tiny_chase.F / far + size).ravel()
-        target = learn_target(image, tuple(box + rng.normal(0, 1, 4)), 2.0, CAMERA, "van").target
+        target = learn_target(image, tuple(box + rng.normal(0, 1, 4)), StatedWidth(2.0), CAMERA, "van").target
         z.append((target.nominal_range / far - 1) / (target.tolerance / 2.0))
     assert np.sqrt(np.mean(np.square(z))) < 1.2
 
@@ -149,7 +152,7 @@ def test_corners_have_names_enough() -> None:
 
 def test_the_picture_shows_the_lines() -> None:
     image, box, _ = van(3)
-    learned = learn_target(image, box, 2.0, CAMERA, "van")
+    learned = learn_target(image, box, StatedWidth(2.0), CAMERA, "van")
     picture = draw_target(learned, image).astype(int)
     assert max(picture.shape) >= 900
     warm = (picture[..., 2] - picture[..., 0] > 100).sum()  # the vertical lines
@@ -167,8 +170,6 @@ def test_the_picture_shows_the_lines() -> None:
         ("van", (200, 40, 50, 200), 2.0, ["--box", "beyond x0"]),
         ("van", (40, 40, 300, 200), 2.0, ["--box", "outside the image of 256 × 242"]),
         ("van", (40, 40, float("nan"), 200), 2.0, ["--box"]),
-        ("van", (40, 40, 200, 200), 0.0, ["--width 0", "expected metres"]),
-        ("van", (40, 40, 200, 200), 1800.0, ["--width 1800", "expected metres"]),
         ("small", (4, 4, 40, 40), 2.0, ["has 64 × 48 pixels", "256 × 242"]),
     ],
 )
@@ -182,7 +183,7 @@ def test_it_is_refused(picture: str, box: tuple[float, float, float, float], wid
         "small": np.zeros((48, 64)),
     }
     with pytest.raises(UnusableInput) as caught:
-        learn_target(images[picture].astype(np.float32), box, width, CAMERA, "x")
+        learn_target(images[picture].astype(np.float32), box, StatedWidth(width), CAMERA, "x")
     for word in words:
         assert word in str(caught.value)
 
@@ -197,9 +198,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def learn(folder: Path, *more: str, box: str = "", out: str = "target.yaml"):
+def learn(folder: Path, *more: str, box: str = "", out: str = "target.yaml", width: str = "2.0±0.02"):
     box = box or ",".join(f"{v:.1f}" for v in van(0)[1])
-    options = ["--box", box, "--width", "2.0", "--camera", "camera.yaml", "-o", out, *more]
+    options = ["--box", box, "--width", width, "--camera", "camera.yaml", "-o", out, *more]
     return paceline("target", "learn", "van.png", *options, folder=folder)
 
 
@@ -209,9 +210,27 @@ def test_the_command_writes_a_model_and_its_image(folder: Path) -> None:
     assert {p.name for p in folder.iterdir()} == {"camera.yaml", "van.png", "target.yaml", "target.png"}
     assert load_target(folder / "target.yaml").name == "the van"
     assert "target.png" in done.stdout and "uncertain by ±" in done.stdout and not done.stderr
+    assert re.search(
+        r"\n\d horizontal and \d vertical lines, \d+ % of them mirrored about the middle, with \d\d grey levels of "
+        r"contrast; one image determines its place to ± 0\.\d px and its distance to ± [01]\.\d % \(95 %\)\n",
+        done.stdout,
+    )
     start = yaml.safe_load(done.stdout.splitlines()[-1])["start"]
     assert start["scale"] == 1.0 and len(start["center"]) == 2
     assert cv2.imread(str(folder / "target.png")).shape[0] > 300
+
+
+def test_the_width_is_part_of_the_tolerance(folder: Path) -> None:
+    tolerances = []
+    for width in ("2.0±0", "2.0±0.10", "2.0+-0.10", "2.0"):
+        done = learn(folder, width=width)
+        assert done.returncode == 0, done.stderr
+        target = load_target(folder / "target.yaml")
+        tolerances.append(target.tolerance)
+        assert target.width_assumed == ("as nothing is stated" in done.stderr) == (width == "2.0")
+    sides, stated, typed, assumed = tolerances
+    assert stated == typed == pytest.approx(np.hypot(sides, 0.1 / 1.96), rel=0.01)
+    assert assumed == pytest.approx(np.hypot(sides, 0.06 / 1.96), rel=0.01)
 
 
 def test_the_file_gives_the_name(folder: Path) -> None:
@@ -246,13 +265,46 @@ def test_the_command_needs_the_camera_and_the_picture(folder: Path) -> None:
                           "text.png", "not an image")  # fmt: skip
 
 
+def test_a_box_on_a_wall_is_doubted(folder: Path) -> None:
+    """Windows at odd places: lines enough, but none of them mirrored."""
+    wall = np.full((242, 256), 140.0, np.float32)
+    for x, y, width, height in (
+        (52, 40, 22, 34),
+        (96, 60, 14, 26),
+        (128, 44, 34, 20),
+        (58, 96, 40, 24),
+        (122, 84, 16, 44),
+    ):
+        wall[y : y + height, x : x + width] = 60.0
+    cv2.imwrite(str(folder / "van.png"), cv2.GaussianBlur(wall, (0, 0), 0.7))
+    done = learn(folder, box="46,36,176,136")
+    assert done.returncode == 0 and (folder / "target.yaml").exists()
+    assert "% of the lines, by length, are mirrored about the middle (at least 60 %" in done.stderr
+    assert "is the whole rear in the box" in done.stderr
+
+
+@pytest.mark.skipif(not KITTI.exists(), reason="the shared recordings are not here")
+def test_a_real_wall_is_doubted_and_a_real_vehicle_not() -> None:
+    from paceline.documents.loading import load_camera
+
+    image = cv2.imread(str(KITTI / "frames" / "000000.png"), cv2.IMREAD_GRAYSCALE).astype(np.float32)
+    camera = load_camera(KITTI / "camera.yaml")
+    codes = [
+        {notice.code for notice in learn_target(image, box, StatedWidth(1.8), camera, "x").notices}
+        for box in ((556, 190, 641, 262), (46, 5, 169, 92), (328, 108, 474, 227))
+    ]
+    assert codes == [set(), {"target_not_symmetric"}, {"target_not_symmetric"}]
+
+
 @pytest.mark.skipif(not KITTI.exists(), reason="the shared recordings are not here")
 def test_a_real_hatchback() -> None:
     """The lines that one sees: both sides, the plate, the bumper, the ground."""
     from paceline.documents.loading import load_camera
 
     image = cv2.imread(str(KITTI / "frames" / "000000.png"), cv2.IMREAD_GRAYSCALE).astype(np.float32)
-    learned = learn_target(image, (556, 190, 641, 262), 1.7, load_camera(KITTI / "camera.yaml"), "hatchback")
+    learned = learn_target(
+        image, (556, 190, 641, 262), StatedWidth(1.7), load_camera(KITTI / "camera.yaml"), "hatchback"
+    )
     target = learned.target
     ends = learned.corners[target.segments]
     upright = np.ptp(ends[:, :, 0], axis=1) < np.ptp(ends[:, :, 1], axis=1)

@@ -20,6 +20,7 @@ from paceline.targets.side_estimation import (
     side_edges,
     width_std,
 )
+from paceline.targets.stated_width import StatedWidth
 from paceline.units import COVERAGE_95
 
 CHASE_DARK = Path(__file__).parents[2] / "shared" / "data" / "chase_dark"
@@ -101,7 +102,7 @@ def learn_dark(frame: int, rng: np.random.Generator | None) -> tuple[LearnedTarg
     picture = cv2.imread(str(CHASE_DARK / "frames" / f"{frame:05d}.jpg"), cv2.IMREAD_GRAYSCALE).astype(np.float32)
     camera = load_camera(CHASE_DARK / "camera.yaml")
     x0, y0, x1, y1 = (float(v) for v in box)
-    return learn_target(picture, (x0, y0, x1, y1), truth["width_m"], camera, "saloon"), row["position"][2]
+    return learn_target(picture, (x0, y0, x1, y1), StatedWidth(truth["width_m"]), camera, "saloon"), row["position"][2]
 
 
 @pytest.mark.skipif(not CHASE_DARK.exists(), reason="the shared recordings are not here")

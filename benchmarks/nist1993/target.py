@@ -28,7 +28,7 @@ def _first() -> tuple[np.ndarray, list, np.ndarray, list]:
         s["seed"], frames=1, kind=s["kind"], gap=tuple(s["gap"]), shadows=s["shadows"], paint=s["paint"], shake_px=0.0
     )
     picture, truth = next(iter(render_frames(scene)))
-    whole, _, _ = operators_start(scene, truth)
+    whole, _ = operators_start(scene, truth)
     target = replace(whole, segments=whole.segments[:TEN])
     scale = target.nominal_range / truth.position[2]
     lines = target.lines(truth.center, scale, target.magnification(scene.camera))

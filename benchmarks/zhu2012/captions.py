@@ -4,8 +4,10 @@ from __future__ import annotations
 
 INTRODUCTION = """\
 The tables and figures of the two papers that Paceline implements, on rendered scenes with exact truth, written by
-`make results`. Every item names the command that measures it alone; all numbers are in
-[results.json](results.json), and the commands read and write `build/results`. No clip and no seed was chosen by
+`make results`. Every item names the command that measures it alone, and how long that takes; all numbers are in
+[results.json](results.json), and the commands read and write `build/results`. The commands of [Zhu] render their clips
+first, once, which takes 30 to 70 processor seconds for each; for that they need the extra `simulation`:
+`.venv/bin/pip install -e ".[simulation]"`. No clip and no seed was chosen by
 its result; two scenes of [NIST] were made harder until they showed the effects of shadows and weaving. The accuracy of
 Paceline over many clips is in [accuracy.md](accuracy.md).
 

@@ -1,6 +1,6 @@
 """docs/results.md, from all items: make results.
 
-PYTHONPATH=benchmarks python -m zhu2012.document [--cached] [NAME ...]
+python benchmarks/reproduce.py zhu2012.document [--cached] [NAME ...]
 
 Runs the named items, or all of them, each as far as its last numbers are stale, and writes the document, its pictures
 and docs/results.json. Of the others it keeps what is cached, or else what stands in docs/results.json, as long as the
@@ -85,7 +85,9 @@ def document(results: Numbers) -> str:
             continue
         one = found[item.name]
         parts += [item.text(one["shown"]), CAPTIONS.get(item.name, "")]
-        parts.append(f"`{item.command}` — {one['processor_seconds']:.0f} processor seconds.")
+        clips = "one clip" if len(item.scenes) == 1 else f"{len(item.scenes)} clips"
+        rendering = f", the rendering of {clips} not counted" if item.scenes else ""
+        parts.append(f"`{item.command}` — {max(one['processor_seconds'], 1):.0f} processor seconds{rendering}.")
     spent = sum(one["processor_seconds"] for one in found.values())
     busy = max(one["load"] for one in found.values())
     machines = ". ".join(sorted({one["machine"] for one in found.values()}))

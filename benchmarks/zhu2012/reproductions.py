@@ -54,7 +54,7 @@ class Reproduction:
 
     @property
     def command(self) -> str:
-        return f"PYTHONPATH=benchmarks python -m {self.script}"
+        return f".venv/bin/python benchmarks/reproduce.py {self.script}"
 
     @property
     def cache(self) -> Path:

@@ -13,7 +13,7 @@ from paceline.version import __version__ as __version__
 if TYPE_CHECKING:
     from paceline.api import find_vehicles, measure, track, vehicle_finder
     from paceline.detection.onnx_detector import OnnxDetector
-    from paceline.documents.loading import load_clip, load_follow, load_rig
+    from paceline.documents.loading import load_camera, load_clip, load_follow, load_rig
     from paceline.errors import UnusableInput
     from paceline.follow.configuration import FollowConfiguration
     from paceline.follow.following import estimates as follow
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from paceline.speed.measurement import by_vehicle
     from paceline.speed.methods import Method
     from paceline.speed.results import ClipResult, Measurement
+    from paceline.targets.line_model import load_target
 
 __all__ = [
     "ChaseOcclusion",
@@ -63,11 +64,13 @@ __all__ = [
     "follow",
     "follow_and_report",
     "follow_recording",
+    "load_camera",
     "load_clip",
     "load_drive",
     "load_follow",
     "load_rig",
     "load_settings",
+    "load_target",
     "measure",
     "open_camera",
     "open_recording",
@@ -106,11 +109,13 @@ _DEFINING_MODULES = {
     "find_vehicles": ("paceline.api", "find_vehicles"),
     "follow_and_report": ("paceline.reports.follow.report", "follow_and_report"),
     "follow_recording": ("paceline.follow.following", "follow_recording"),
+    "load_camera": ("paceline.documents.loading", "load_camera"),
     "load_clip": ("paceline.documents.loading", "load_clip"),
     "load_drive": ("paceline.simulation.closed_loop.drive_yaml", "resolve_drive"),
     "load_follow": ("paceline.documents.loading", "load_follow"),
     "load_rig": ("paceline.documents.loading", "load_rig"),
     "load_settings": ("paceline.speed.configuration", "load_settings"),
+    "load_target": ("paceline.targets.line_model", "load_target"),
     "measure": ("paceline.api", "measure"),
     "open_camera": ("paceline.recordings.monocular", "open_camera"),
     "open_recording": ("paceline.recordings.stereo", "open_recording"),

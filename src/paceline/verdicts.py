@@ -433,6 +433,20 @@ _WARNING_ROWS = {
         "the {view} camera has no corner at the {parts} (the other camera need not see it)",
         "Add views with the board in these parts of the image.",
     ),
+    "target_not_symmetric": (
+        "only {percent:.0f} % of the lines, by length, are mirrored about the middle (at least {limit:.0f} % of those "
+        "of a vehicle's rear are)",
+        "Look at the lines in the picture: is the whole rear in the box, and nothing else? Draw the box again, or "
+        "learn from a picture in which the vehicle is seen straight from behind.",
+    ),
+    "target_faint": (
+        "half of the lines have less than {contrast:.0f} grey levels of contrast (expected {limit:g} or more)",
+        "Choose a picture in which the vehicle is better lit, or nearer.",
+    ),
+    "target_scale_uncertain": (
+        "one image determines the distance only to ± {percent:.1f} % by these lines (expected ± {limit:.0f} % or less)",
+        "Choose a picture in which the vehicle is nearer, or a camera with a longer focal length.",
+    ),
     "adjustment_unsettled": (
         "the adjustment had not settled; more varied views would help it",
         "Add more varied views of the board.",
@@ -454,6 +468,7 @@ _INFORMATION_ROWS = {
         "needed)",
         "",
     ),
+    "lane_known": ("the lane between lines {first} and {last} is not added: path {path} runs along it", ""),
     "lane_outside_views": (
         "path {path}: too little of it is in both views ({length_px:.0f} px, at least {min_length_px:g} needed)",
         "",
@@ -467,6 +482,10 @@ _INFORMATION_ROWS = {
     "rate_overrides": (
         "{video}: timed by {rate:g} frames/s in place of its own time stamps, which lie {usual_s:.4g} s apart",
         "Take `override` out where the time stamps are true.",
+    ),
+    "width_uncertainty_assumed": (
+        "the width is taken as known to ± {percent:g} % (95 %), as nothing is stated of it",
+        "State it beside the width, as in 1.7±0.05: every distance is as uncertain.",
     ),
     "lines_beyond_sides": (
         "vertical lines lie up to {distance_px:.1f} px outside the vehicle's sides, which are {width_px:.1f} ± "

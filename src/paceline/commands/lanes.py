@@ -42,6 +42,7 @@ def lanes(
     if write and out is not None:
         raise UnusableInput("--in-place and --out exclude each other: the lanes go to the clip.yaml or to a site.yaml")
 
+    from paceline.detection.known_lanes import without_known
     from paceline.documents.loading import load_clip, rig_file
     from paceline.lanes.lane_proposals import propose_lanes, road_lines
     from paceline.lanes.road_detection import RoadNotFound, detect_road
@@ -79,7 +80,9 @@ def lanes(
     proposed, remarks = propose_lanes(document.rig, road, settings.lanes.width)
     with_path = [lane for lane in proposed if lane.path is not None]
     remarks += [lane.reason for lane in proposed if lane.path is None]
-    named = dict(zip(lane_names(len(with_path), document.paths if write else ()), with_path, strict=True))
+    added, known = without_known(with_path, document) if write else (with_path, [])
+    remarks += known
+    named = dict(zip(lane_names(len(added), document.paths if write else ()), added, strict=True))
     if not quiet:
         _print(lines, named, remarks)
         if background.unstable_share > MAX_UNREPORTED_UNSTABLE_SHARE:
@@ -89,6 +92,9 @@ def lanes(
     if not with_path:
         print(f"no lane found: {message('no_lane_between_lines')}")
         return EXIT_NOTHING_MEASURED
+    if not added:
+        print(f"\nNothing was added to {file}: it has a path along every lane that was found.")
+        return EXIT_DONE
     if write or out is not None:
         picture_names = _write(file, out, document.rig, background, lines, named)
         if not quiet:

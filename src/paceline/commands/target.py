@@ -18,7 +18,14 @@ target = typer.Typer(help="Line models of vehicles to follow.", rich_markup_mode
 def target_learn(
     image: Annotated[Path, typer.Argument(metavar="IMAGE", help="An image of the vehicle's rear.")],
     box: Annotated[str, typer.Option(metavar="X0,Y0,X1,Y1", help="Box around the rear, pixels.")],
-    width: Annotated[float, typer.Option(metavar="METRES", help="True width of the vehicle inside the box.")],
+    width: Annotated[
+        str,
+        typer.Option(
+            metavar="METRES±METRES",
+            help="True width of the vehicle inside the box and its uncertainty (95 %), 1.7±0.05 or 1.7+-0.05; ± 3 % is "
+            "assumed where it states none.",
+        ),
+    ],
     camera: Annotated[
         Path, typer.Option(help="The camera.yaml of the picture: its focal length turns pixels into metres.")
     ],
@@ -30,20 +37,24 @@ def target_learn(
     from paceline.recordings.image_sources import read_image_file, to_grey
     from paceline.reports.target import start_entry, write_target
     from paceline.targets.learning import learn_target
+    from paceline.targets.stated_width import parse_width
     from paceline.units import COVERAGE_95
 
     if out.suffix and image.resolve() in (out.resolve(), out.with_suffix(".png").resolve()):
         raise UnusableInput(f"--out {out}: would write over the picture {image}; expected another name")
-    corners, lens = _box(box), load_camera(camera)
+    corners, stated_width, lens = _box(box), parse_width(width), load_camera(camera)
     picture = to_grey(read_image_file(image), 16, str(image))
     try:
-        learned = learn_target(picture, corners, width, lens, name or out.stem)
+        learned = learn_target(picture, corners, stated_width, lens, name or out.stem)
     except UnusableInput as unusable:
         raise UnusableInput(f"{image}: {unusable}") from None
     image_file = write_target(learned, picture, out)
     print(f"{len(learned.target.segments)} lines in {out}; look at them in {image_file}")
+    print(learned.quality)
     half_width = COVERAGE_95 * learned.relative_std
-    print(f"ranges by it are uncertain by ± {half_width:.1%} (95 %), besides what each frame adds")
+    print(
+        f"ranges by it are uncertain by ± {half_width:.1%} (95 %), besides what each frame adds; width {learned.width}"
+    )
     for notice in learned.notices:
         print(f"note: {notice}. {notice.advice}", file=sys.stderr)
     print(f"follow.yaml, where this picture is the first frame:\n{start_entry(learned)}")

@@ -23,6 +23,7 @@ from paceline.console.request_body import read_body, read_json
 from paceline.console.runs.options import parse_number, parse_whole_number
 from paceline.documents.models import TargetModel, read_document
 from paceline.errors import UnusableInput
+from paceline.targets.stated_width import USUAL_WIDTHS, StatedWidth, checked_width
 
 
 def target_router(library: Library) -> APIRouter:
@@ -38,6 +39,7 @@ def target_router(library: Library) -> APIRouter:
             "frames": pictures.frames,
             "times": [round(float(t), 4) for t in pictures.times],
             "notices": pictures.notices,
+            "usual_widths": USUAL_WIDTHS,
             **_setup_data(library, read_follow_setup(file)),
         }
 
@@ -65,7 +67,7 @@ def target_router(library: Library) -> APIRouter:
         if not isinstance(box, list) or len(box) != 4:
             raise UnusableInput("box: expected x0, y0, x1, y1 in pixels")
         name = str(body.get("name") or "vehicle ahead")
-        frame, width = parse_whole_number(body.get("frame"), 10**9), parse_number(body.get("width"))
+        frame, width = parse_whole_number(body.get("frame"), 10**9), _stated_width(body)
         return await run_in_threadpool(_learn_model, library, clip, frame, [parse_number(v) for v in box], width, name)
 
     @router.post("/api/model")
@@ -79,7 +81,18 @@ def target_router(library: Library) -> APIRouter:
     return router
 
 
-def _learn_model(library: Library, clip: str, frame: int, box: list[float], width: float, name: str) -> dict[str, Any]:
+def _stated_width(body: dict[str, Any]) -> StatedWidth:
+    """The width in a request, with its uncertainty where that is stated. Raises UnusableInput."""
+    half_width = body.get("half_width")
+    try:
+        return checked_width(parse_number(body.get("width")), None if half_width is None else parse_number(half_width))
+    except UnusableInput as error:
+        raise UnusableInput(str(error).replace("--", "")) from error
+
+
+def _learn_model(
+    library: Library, clip: str, frame: int, box: list[float], width: StatedWidth, name: str
+) -> dict[str, Any]:
     pictures = library.frame_cache.chase(library.file(clip))
     learned = learn_model(pictures.camera, pictures.picture(0, frame), frame, box, width, name)
     validated_target(learned["target"])

@@ -95,6 +95,7 @@ class TargetDocument:
     corners: Array
     segments: Indices
     tolerance: float = 0.0  # m, standard deviation of the width that the lines have together
+    width_assumed: bool = False  # whether nobody has stated how uncertain the width is
 
     @property
     def ends(self) -> Array:
@@ -117,6 +118,8 @@ class FollowClip:
     scale: float
     odometry: Path | None
     wheelbase: float | None  # m, of the chase vehicle
+    camera_ahead: float | None = None  # m from its rear axle to the camera
+    lookahead: float | None = None  # s of driving to the point of the path that is pursued
     rate_override: bool = False  # whether the rate is used in place of a video's own time stamps
 
 
@@ -239,7 +242,8 @@ def load_target(path: str | Path) -> TargetDocument:
     corners = np.array(list(model.corners.values())).reshape(-1, 2)
     segments = np.array([[place[a], place[b]] for a, b in model.segments], np.int64).reshape(-1, 2)
     _refuse(path, "segments", plausibility.check_target(corners[segments]))
-    return TargetDocument(model.name, model.nominal_range, corners, segments, model.tolerance or 0.0)
+    assumed = model.tolerance is None or model.width_assumed is True
+    return TargetDocument(model.name, model.nominal_range, corners, segments, model.tolerance or 0.0, assumed)
 
 
 def load_follow(path: str | Path) -> FollowClip:
@@ -268,6 +272,8 @@ def load_follow(path: str | Path) -> FollowClip:
         scale=start.scale,
         odometry=None if model.odometry is None else path.parent / model.odometry,
         wheelbase=model.wheelbase,
+        camera_ahead=model.camera_ahead,
+        lookahead=model.lookahead,
     )
 
 

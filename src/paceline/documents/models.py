@@ -285,6 +285,7 @@ class TargetModel(Document):
     corners: dict[Name, Pair]
     segments: list[Annotated[list[Name], Field(min_length=2, max_length=2)]]
     tolerance: Annotated[float, Field(ge=0, le=1)] | None = None
+    width_assumed: bool | None = None
 
 
 class StartModel(Document):
@@ -302,6 +303,8 @@ class FollowModel(Document):
     start: StartModel
     odometry: Text | None = None
     wheelbase: Annotated[float, Field(ge=0.1, le=20)] | None = None
+    camera_ahead: Annotated[float, Field(ge=-5, le=20)] | None = None
+    lookahead: Annotated[float, Field(ge=0, le=10)] | None = None
 
 
 # --- reading -------------------------------------------------------------------------------------------------------

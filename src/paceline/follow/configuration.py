@@ -7,6 +7,13 @@ from dataclasses import fields
 from pydantic import BaseModel, ConfigDict, Field
 
 from paceline.path_following.pure_pursuit import SteeringSettings
+from paceline.path_following.steering_goal import SteeringGoal
+
+# The settings of steering that a vehicle's own values replace, by what is steered for, with their keys of follow.yaml
+VEHICLE_KEYS = {"wheelbase": "wheelbase", "camera_ahead": "camera_ahead", "lookahead_time": "lookahead"}
+ASSUMED_FOR: dict[SteeringGoal, tuple[str, ...]] = {
+    "path": tuple(VEHICLE_KEYS), "lead": ("wheelbase", "camera_ahead"), "none": (),
+}  # fmt: skip
 
 
 class FollowConfiguration(BaseModel):
@@ -53,6 +60,9 @@ class FollowConfiguration(BaseModel):
     jump_limit: float = Field(1.0, gt=0)  # s between two frames beyond which nothing is predicted
 
     # steering
+    steering: SteeringGoal | None = (
+        None  # along the lead's path or towards the lead; None: the path if there is odometry
+    )
     wheelbase: float = Field(2.8, gt=0)  # m, of the chase vehicle
     camera_ahead: float = 1.5  # m from its rear axle to the camera
     lookahead_time: float = Field(0.8, ge=0)  # s of driving to the point that is pursued
@@ -60,9 +70,14 @@ class FollowConfiguration(BaseModel):
     lookahead_max: float = Field(20.0, gt=0)  # m
     steering_limit: float = Field(0.6, gt=0, lt=1.5)  # rad
 
-    def steering(self) -> SteeringSettings:
+    def steering_settings(self) -> SteeringSettings:
         """What of it steers."""
         return SteeringSettings(**{field.name: getattr(self, field.name) for field in fields(SteeringSettings)})
+
+    def assumed(self) -> dict[str, float]:
+        """The defaults that the steering angle depends on and nobody has stated, by their keys of follow.yaml, SI."""
+        names = ASSUMED_FOR[self.steering or "path"]
+        return {VEHICLE_KEYS[name]: getattr(self, name) for name in names if name not in self.model_fields_set}
 
     @classmethod
     def as_published(cls) -> FollowConfiguration:

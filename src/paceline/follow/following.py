@@ -6,32 +6,37 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from paceline.blas import on_one_blas_thread
 from paceline.documents.loading import FollowClip, load_follow
 from paceline.errors import UnusableInput
-from paceline.follow.configuration import FollowConfiguration
+from paceline.follow.configuration import VEHICLE_KEYS, FollowConfiguration
 from paceline.follow.hindsight import at_once, in_hindsight
 from paceline.follow.history import History
-from paceline.follow.results import FollowEstimate, FollowResult
+from paceline.follow.results import FollowEstimate, FollowResult, ModelWidth
 from paceline.follow.tracker import FollowTracker, warm_up
 from paceline.progress import Progress
 from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
 from paceline.recordings.odometry import Odometry, Pose, read_odometry
-from paceline.targets.line_model import Target
+from paceline.targets.line_model import target_of
 from paceline.version import versions
 
 
 def tracker_for(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowTracker:
-    """A tracker that begins as ``clip`` says: its camera, its target, the operator's start and the wheelbase."""
-    document = clip.target
-    target = Target(document.name, document.nominal_range, document.corners, document.segments, document.tolerance)
-    return FollowTracker(clip.camera, target, clip.center, clip.scale, resolved(clip, configuration))
+    """A tracker that begins as ``clip`` says: its camera, its target, the operator's start, the vehicle steered."""
+    start = (*clip.center.tolist(), clip.scale)
+    return FollowTracker(clip.camera, target_of(clip.target), start, resolved(clip, configuration))
 
 
 def resolved(clip: FollowClip, configuration: FollowConfiguration | None = None) -> FollowConfiguration:
-    """The configuration with what ``clip`` itself says put in."""
+    """The configuration with what ``clip`` itself says put in. Raises UnusableInput for a path without odometry."""
     c = configuration or FollowConfiguration()
-    return c if clip.wheelbase is None else c.model_copy(update={"wheelbase": clip.wheelbase})
+    stated = {name: value for name, key in VEHICLE_KEYS.items() if (value := getattr(clip, key)) is not None}
+    goal = c.steering or ("lead" if clip.odometry is None else "path")
+    if goal == "path" and clip.odometry is None:
+        raise UnusableInput(f"{clip.path}: odometry: missing; expected one, as the lead's path is to be steered along")
+    return c.model_copy(update={**stated, "steering": goal})
 
 
 def follow(
@@ -114,10 +119,18 @@ def result_of(
     seconds: float,
 ) -> FollowResult:
     """What ``history`` kept of a run, with what it came from."""
+    c = resolved(clip, configuration)
     return history.result(
         clip=str(clip.path),
         target=clip.target.name,
-        configuration=resolved(clip, configuration).model_dump(),
+        width=ModelWidth(
+            float(np.ptp(clip.target.ends[:, 0])),
+            max(c.model_tolerance, clip.target.tolerance),
+            clip.target.width_assumed,
+        ),
+        steering_goal=c.steering or "lead",
+        assumed=c.assumed(),
+        configuration=c.model_dump(),
         versions=versions(),
         notices=list(recording.notices),
         seconds=seconds,

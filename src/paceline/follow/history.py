@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from paceline.follow.results import FollowEstimate, FollowResult
+from paceline.follow.results import FollowEstimate, FollowResult, ModelWidth
+from paceline.path_following.steering_goal import SteeringGoal
 
 OTHER = "other reasons"
 REASONS, EPISODES = 50, 200  # kept of each; counts stay complete
@@ -125,6 +126,9 @@ class History:
         self,
         clip: str,
         target: str,
+        width: ModelWidth,
+        steering_goal: SteeringGoal,
+        assumed: dict[str, float],
         configuration: dict[str, object],
         versions: dict[str, str],
         notices: list[str],
@@ -145,6 +149,9 @@ class History:
             steering=rows[:, 15].copy(),
             residual=rows[:, 16].copy(),
             latency=rows[:, 17].copy(),
+            width=width,
+            steering_goal=steering_goal,
+            assumed=assumed,
             status=[status for status, _ in self._words],
             reason=[reason for _, reason in self._words],
             configuration=configuration,

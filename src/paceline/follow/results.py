@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from paceline.arrays import Array, Indices
+from paceline.path_following.steering_goal import SteeringGoal
+from paceline.units import COVERAGE_95
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FollowEstimate:
     """Where the vehicle ahead is at one frame: pixels in the image as recorded, metres in the camera's axes.
 
@@ -25,7 +27,7 @@ class FollowEstimate:
     position: Array  # (3,) m
     position_std: Array  # (3,) m
     bearing: float  # rad, positive to the right
-    steering: float  # rad, positive to the right
+    steering: float  # rad, positive to the right; NaN where nothing is steered for
     status: str  # tracking | coasting | lost
     reason: str  # why it does not track, or how it came to; empty otherwise
     residual: float  # px rms of the segments' offsets; NaN where nothing was measured
@@ -34,6 +36,28 @@ class FollowEstimate:
     owners: Indices
     window: tuple[int, int, int, int]
     latency: float  # s, from the frame's arrival to this estimate; if it was looked at again, what that took
+
+    def __repr__(self) -> str:
+        """One line, without the lines and points."""
+        x, y, z = (
+            f"{value:.3f} ± {COVERAGE_95 * std:.3f}"
+            for value, std in zip(self.position, self.position_std, strict=True)
+        )
+        reason = f" ({self.reason})" if self.reason else ""
+        return (
+            f"<FollowEstimate frame {self.frame}, {self.time:.3f} s: {self.status}{reason}, x {x}, y {y}, z {z} m, "
+            f"95 %, steering {self.steering:+.4f} rad>"
+        )
+
+
+@dataclass(frozen=True)
+class ModelWidth:
+    """The width of a target's model and its standard deviation, m: every distance is as uncertain. ``assumed`` where
+    nobody has stated the latter."""
+
+    metres: float
+    std: float
+    assumed: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +79,9 @@ class FollowResult:
     reason: list[str]
     residual: Array  # (F,) px
     latency: Array  # (F,) s
+    width: ModelWidth
+    steering_goal: SteeringGoal
+    assumed: dict[str, float]  # what the steering depends on and nobody has stated, by its key of follow.yaml
     configuration: dict[str, object]
     versions: dict[str, str]
     notices: list[str] = field(default_factory=list)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from math import isfinite
@@ -34,23 +35,24 @@ from paceline.targets.line_model import Target
 class FollowTracker:
     """Follows one vehicle, a frame at a time::
 
-        tracker = FollowTracker(camera, target, center, scale)
+        tracker = FollowTracker(camera, target, (597.28, 226.0, 1.0))
         for index, (time, image) in enumerate(frames):
             estimate = tracker.update(image, time, index)
 
-    ``center`` (2,) px and ``scale`` are the operator's start on the first frame. Raises ValueError for a start that
-    is not in the image or has no size.
+    ``start`` is where the operator sees the target in the first frame: its centre in pixels of the image as recorded,
+    x and y, and its scale, 1 for the size at the target's nominal range. Raises ValueError for a start that is not in
+    the image or has no size.
     """
 
     def __init__(
         self,
         camera: Camera,
         target: Target,
-        center: Array,
-        scale: float,
+        start: Sequence[float],
         configuration: FollowConfiguration | None = None,
     ) -> None:
-        center = np.asarray(center, float)
+        *middle, scale = start
+        center = np.array(middle, float)
         width, height = camera.image_size
         if not (np.isfinite(scale) and scale > 0):
             raise ValueError(f"scale: expected a number above 0, found {scale:g}")
@@ -65,7 +67,7 @@ class FollowTracker:
         c = self.configuration
         self.probation = Probation(Lock(location, Recogniser(self.projection, c), c), c)
         self.belief = Belief(c)
-        self.steering = Steering(c.steering())
+        self.steering = Steering(c.steering_settings(), c.steering)
         self.pace, self.origin, self.coasting = Pace(), Origin(self.projection), Coasting()
         self._picture = Picture()
         self._time: float | None = None  # of the frame before
@@ -228,7 +230,7 @@ def warm_up() -> None:
     image = np.full((96, 96), 60, np.uint8)
     image[25:71, 25:71] = 180
     for configuration in (FollowConfiguration(), FollowConfiguration.as_published()):
-        tracker = FollowTracker(camera, target, np.array([47.5, 47.5]), 1.0, configuration)
+        tracker = FollowTracker(camera, target, (47.5, 47.5, 1.0), configuration)
         for k in range(3):
             image[0, k] = 61 + k  # no two frames alike
             tracker.update(image, k / 15, k)

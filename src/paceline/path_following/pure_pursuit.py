@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan, cos, exp, hypot, sin
+from math import atan, cos, exp, hypot, nan, sin
 
 import numpy as np
 
 from paceline.arrays import Array
 from paceline.numba_cache import cached_njit
+from paceline.path_following.steering_goal import SteeringGoal
 from paceline.recordings.odometry import Pose
 
 PATH_SPACING_M = 0.5  # distance between two stored points of the path
@@ -111,10 +112,11 @@ def extrapolated_path(path: Array, reach: float, speed: float, uncertain: int = 
 
 
 class Steering:
-    """Steers a vehicle along the path of the one ahead or, without odometry, straight towards it."""
+    """Steers a vehicle towards its ``goal``: the path of the vehicle ahead, that vehicle itself, or nothing; None: the
+    path if there is odometry, the vehicle otherwise."""
 
-    def __init__(self, settings: SteeringSettings) -> None:
-        self._c = settings
+    def __init__(self, settings: SteeringSettings, goal: SteeringGoal | None = None) -> None:
+        self._c, self._goal = settings, goal
         self._points = np.zeros((MAX_PATH_POINTS, 2))
         self._count = 0
         self._uncertain = 0  # points at its end at which the vehicle ahead was not detected reliably
@@ -130,10 +132,13 @@ class Steering:
         self, time: float, ahead: float, right: float, detected: bool, pose: Pose | None, reliable: bool = True
     ) -> float:
         """Steering angle, rad, positive to the right, at ``time``, s, with the vehicle ahead at ``ahead`` and ``right``
-        metres in the camera's axes; ``detected``: measured, not only predicted; ``reliable``: with full confidence."""
+        metres in the camera's axes; ``detected``: measured, not only predicted; ``reliable``: with full confidence. NaN
+        where nothing is steered for, and for a path without a ``pose``."""
         c = self._c
+        if self._goal == "none" or (self._goal == "path" and pose is None):
+            return nan
         goal = ahead, right
-        if pose is not None:
+        if pose is not None and self._goal != "lead":
             self._move(time, pose)
             if detected:
                 added = self._append(*to_world(pose, ahead, right))

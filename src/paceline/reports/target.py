@@ -55,6 +55,7 @@ def target_yaml(learned: LearnedTarget) -> str:
         f"name: '{quoted_name}'",
         f"nominal_range: {target.nominal_range:.4f}",
         f"tolerance: {target.tolerance:.4f}",
+        *(["width_assumed: true"] if target.width_assumed else []),
     ]
     return "\n".join([*head, "corners:", *corners, "segments:", *segments]) + "\n"
 

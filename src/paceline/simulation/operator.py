@@ -111,10 +111,20 @@ def rows_from_outline(car: SimulatedVehicle, truth: list[dict[str, Any]]) -> lis
     """The rows of truth from the first on in which a vehicle can be outlined, while it is inside both pictures."""
     rows = [row for row in truth if row["vehicle"] == car.model.id and row["inside"]]
     for i, row in enumerate(rows):
-        width = min(np.ptp(np.array(row[side])[:, 0]) for side in ("left", "right"))
+        width = outline_width([np.array(row[side]) for side in ("left", "right")])
         if row["visible"] >= MIN_OUTLINE_VISIBLE_SHARE and width >= MIN_OUTLINE_WIDTH_PX:
             return rows[i:]
-    raise UnusableInput(
+    raise never_outlined(car)
+
+
+def outline_width(views: Sequence[Array]) -> float:
+    """The width of an outline, px, in the view in which it is narrower: its corners (4, 2) in each of the ``views``."""
+    return float(min(np.ptp(corners[:, 0]) for corners in views))
+
+
+def never_outlined(car: SimulatedVehicle) -> UnusableInput:
+    """Why a vehicle cannot be measured."""
+    return UnusableInput(
         f"vehicle {car.model.id}: is never wholly visible and {MIN_OUTLINE_WIDTH_PX:g} px wide in both pictures"
     )
 

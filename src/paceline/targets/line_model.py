@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from paceline.arrays import Array, Indices, Mask
 from paceline.cameras import Camera
+from paceline.documents import loading
 from paceline.documents.plausibility import MAX_SEGMENT_OBLIQUENESS
 
 
@@ -85,3 +87,13 @@ class Target:
     def lines(self, center: Array, scale: float, magnification: Array) -> Array:
         """(S, 2, 2) px: the ends of every segment for a location, (35)."""
         return np.asarray(center + scale * magnification * self.corners[self.segments], float)
+
+
+def target_of(document: loading.TargetDocument) -> Target:
+    """The model that a target.yaml describes, as the tracker needs it."""
+    return Target(document.name, document.nominal_range, document.corners, document.segments, document.tolerance)
+
+
+def load_target(path: str | Path) -> Target:
+    """The model in the target.yaml ``path``; raises UnusableInput, naming the key, for one that cannot be."""
+    return target_of(loading.load_target(path))

@@ -105,4 +105,6 @@ def target_yaml(target: TargetModel) -> str:
     head = [f"name: {format_flow(target.name)}", f"nominal_range: {format_flow(target.nominal_range)}"]
     if target.tolerance is not None:
         head.append(f"tolerance: {format_flow(target.tolerance)}")
+    if target.width_assumed is not None:
+        head.append(f"width_assumed: {format_flow(target.width_assumed)}")
     return "\n".join([*head, "corners:", *corners, "segments:", *segments]) + "\n"

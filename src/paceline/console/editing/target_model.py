@@ -13,6 +13,7 @@ from paceline.documents.models import StartModel, TargetModel
 from paceline.documents.plausibility import check_segment, check_start, check_target
 from paceline.errors import UnusableInput
 from paceline.targets.learning import corner_names, learn_target
+from paceline.targets.stated_width import StatedWidth
 
 Plain = dict[str, Any]
 
@@ -79,9 +80,9 @@ def project_model(camera: Camera, target: object, start: object) -> Plain:
     return facts
 
 
-def learn_model(camera: Camera, picture: Image, frame: int, box: list[float], width: float, name: str) -> Plain:
-    """Learns a model from the lines inside a ``box`` (x0, y0, x1, y1) of a ``frame``'s ``picture`` that is ``width`` m
-    wide; returns it with its start and notices. Raises UnusableInput."""
+def learn_model(camera: Camera, picture: Image, frame: int, box: list[float], width: StatedWidth, name: str) -> Plain:
+    """Learns a model from the lines inside a ``box`` (x0, y0, x1, y1) of a ``frame``'s ``picture`` that has this
+    ``width``; returns it with its start and notices. Raises UnusableInput."""
     x0, y0, x1, y1 = box
     try:
         learned = learn_target(picture, (x0, y0, x1, y1), width, camera, name)
@@ -95,8 +96,12 @@ def learn_model(camera: Camera, picture: Image, frame: int, box: list[float], wi
         "segments": [[names[a], names[b]] for a, b in learned.target.segments],
         "tolerance": learned.target.tolerance,
     }
+    if learned.target.width_assumed:
+        target["width_assumed"] = True
     start = {"frame": frame, "center": learned.center.tolist(), "scale": 1.0}
-    return {"target": target, "start": start, "notices": [f"{notice}. {notice.advice}" for notice in learned.notices]}
+    notices = [f"{notice}. {notice.advice}" for notice in learned.notices]
+    doubted = bool(learned.quality.doubts())
+    return {"target": target, "start": start, "quality": str(learned.quality), "doubted": doubted, "notices": notices}
 
 
 def centred_start(camera: Camera, target: TargetModel, frame: int) -> Plain:

@@ -114,7 +114,9 @@ class TargetEditor extends EditorElement {
     this.facts = make("dl");
     this.problem = make("p", { className: "problem" });
     this.warning = make("p", { className: "warning" });
-    this.width = make("input", { type: "number", min: 0.2, max: 10, step: 0.01, value: 1.75 });
+    this.width = make("input", { type: "number", min: 0.2, max: 10, step: 0.01, required: true });
+    this.halfWidth = make("input", { type: "number", min: 0, step: 0.01, placeholder: "3 % of it" });
+    const usual = Object.entries(this.setup.usual_widths).map(([kind, [metres, half]]) => make("li", { textContent: `${kind} ${metres.toFixed(2)} ± ${half.toFixed(2)} m` }));
     this.name = make("input", { maxLength: 100, disabled: this.readonly, value: this.setup.target?.name ?? "vehicle ahead" });
     this.name.onchange = () => { if (this.name.value.trim() && this.model.target) this.model.change((m) => { m.target = { ...m.target, name: this.name.value.trim() }; }); };
     this.learnButton = pushButton("Learn the lines in the box", () => this.learn(), "Finds the strong horizontal and vertical edges (Enter)");
@@ -127,7 +129,8 @@ class TargetEditor extends EditorElement {
     const learn = make("section", { className: "pl-panel ed-item", "aria-label": "Learn a model", hidden: this.readonly },
       make("div", { className: "pl-subtitle", textContent: "Learn a model" }),
       make("div", { className: "pl-fact", textContent: "Drag a box around the rear in a frame in which it is near. Distances are as accurate as the width that you enter." }),
-      label("width of the box, m", this.width), make("div", { className: "ed-bar" }, this.learnButton));
+      label("true width, m", this.width), label("± (95 %), m", this.halfWidth),
+      make("details", { className: "pl-fact", open: true }, make("summary", { textContent: "Usual widths, without mirrors:" }), make("ul", {}, ...usual)), make("div", { className: "ed-bar" }, this.learnButton));
     return make("div", { className: "ed-side" }, model, learn);
   }
 
@@ -248,13 +251,19 @@ class TargetEditor extends EditorElement {
 
   boxed() {
     if (this.box && Math.min(...[0, 1].map((i) => Math.abs(this.box[0][i] - this.box[1][i]))) < 8) this.box = null;
-    if (this.box) this.showMessage("Now enter the width of the box, and learn the lines in it.");
+    if (this.box) this.showMessage("Now enter the true width of the vehicle, and learn the lines in the box.");
     this.buttons();
   }
 
   async learn() {
     const [xs, ys] = [0, 1].map((i) => this.box.map((p) => Math.round(p[i] * 100) / 100).sort((a, b) => a - b));
-    const body = { frame: this.frame, box: [xs[0], ys[0], xs[1], ys[1]], width: Number(this.width.value), name: this.name.value.trim() };
+    if (!this.width.value) {
+      this.showMessage("Enter the true width of the vehicle first: every distance is as accurate as it.", true);
+      this.width.focus();
+      return;
+    }
+    const half = this.halfWidth.value;
+    const body = { frame: this.frame, box: [xs[0], ys[0], xs[1], ys[1]], width: Number(this.width.value), half_width: half ? Number(half) : null, name: this.name.value.trim() };
     await this.useModel(() => sendRequest("POST", `/api/learn?clip=${this.clip}`, body), "learned. Look closely: click a line that lies on a shadow or the background, and press Del. Then save.");
   }
 
@@ -266,11 +275,12 @@ class TargetEditor extends EditorElement {
 
   async useModel(request, text) {
     try {
-      const { target, start, notices = [] } = await request();
+      const { target, start, quality, doubted = false, notices = [] } = await request();
       this.box = null;
       this.model.change((m) => Object.assign(m, { target, start }));
       this.take("place");
-      this.showMessage([`${target.segments.length} lines ${text}`, ...notices].join(" Note: "));
+      const judged = quality ? ` Found: ${quality}.` : "";
+      this.showMessage([`${target.segments.length} lines ${text}${judged}`, ...notices].join(" Note: "), doubted);
     } catch (error) {
       this.showMessage(error.message, true);
     }
@@ -295,7 +305,7 @@ class TargetEditor extends EditorElement {
   }
 
   key(event) {
-    const field = event.target === this.width || event.target === document.body;
+    const field = [this.width, this.halfWidth, document.body].includes(event.target);
     if (event.key === "Enter" && this.box && field) { event.preventDefault(); this.learn(); return; }
     const key = keyFor(event, this);
     if (key && this.press(key, event)) event.preventDefault();

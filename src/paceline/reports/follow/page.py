@@ -6,6 +6,7 @@ from pathlib import Path
 
 from paceline.follow.history import Episode, Tally
 from paceline.follow.results import FollowResult
+from paceline.path_following.steering_goal import SteeringGoal
 from paceline.reports.common.formatting import NO_VALUE, format_number
 from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
@@ -19,11 +20,35 @@ GOOD_TRACKED_SHARE = 0.95  # from which on no advice is given
 # What each plot shows, in plain words.
 PLOT_CAPTIONS = {
     "range": "Distance of the vehicle ahead, with its 95 % interval. In shaded intervals it was not tracked.",
-    "bearing": "Direction to the vehicle, and the steering angle that follows its path; positive to the right.",
+    "bearing": "Direction to the vehicle, and the steering angle, where there is one; positive to the right.",
     "confidence": "How well each frame determines the target’s position and size; higher is better.",
-    "residual": "RMS distance of the vehicle’s edges from the model’s lines; a sudden rise indicates a tracking error.",
+    "residual": "RMS distance of the vehicle’s edges from the model’s lines.",
     "latency": "Time of each frame from its arrival to its estimate.",
 }
+
+
+STEERING_TEXTS: dict[SteeringGoal, str] = {
+    "path": "along the path that the lead has driven, by odometry",
+    "lead": "towards the lead itself and not along its path, so that it cuts the corner in bends",
+    "none": "no angle, as asked",
+}
+ASSUMED_TEXTS = {
+    "wheelbase": "wheelbase {:g} m",
+    "camera_ahead": "camera {:g} m ahead of the rear axle",
+    "lookahead": "lookahead {:g} s",
+}
+
+
+def describe_steering(result: FollowResult) -> str:
+    """What the steering angle of a run is for, and what was assumed for it."""
+    assumed = ", ".join(ASSUMED_TEXTS[key].format(value) for key, value in result.assumed.items())
+    return STEERING_TEXTS[result.steering_goal] + (f"; assumed: {assumed}" if assumed else "")
+
+
+def describe_width(result: FollowResult) -> str:
+    """For example ``1.70 ± 0.05 m wide``, half of a 95 % interval, and whether that was assumed."""
+    half = format_number(COVERAGE_95 * result.width.std, 2)
+    return f"{format_number(result.width.metres, 2)} ± {half} m wide" + (" (± assumed)" if result.width.assumed else "")
 
 
 def write_follow_page(
@@ -45,6 +70,9 @@ def write_follow_page(
         median=format_number(1e3 * finite_quantile(result.latency), 2),
         slowest=format_number(1e3 * finite_quantile(result.latency, 0.99), 2),
         advice=advice(tally),
+        steering=describe_steering(result),
+        width=describe_width(result),
+        width_share=format_number(100 * COVERAGE_95 * result.width.std / result.width.metres, 1),
         episodes=[_episode_row(e) for e in tally.episodes[:MAX_LISTED_EPISODES]],
         unlisted=tally.episode_count - min(MAX_LISTED_EPISODES, len(tally.episodes)),
         reasons=tally.reasons.most_common(),

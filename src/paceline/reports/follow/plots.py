@@ -65,7 +65,8 @@ def _draw_bearing(figure: Figure, result: FollowResult) -> None:
     axes.plot(
         _since_first(result), np.degrees(_tracked(result, result.bearing)), color=FILTER_COLOR, lw=1.2, label="bearing"
     )
-    axes.plot(_since_first(result), np.degrees(result.steering), color=REFINED_COLOR, lw=1.0, label="steering")
+    if np.isfinite(result.steering).any():
+        axes.plot(_since_first(result), np.degrees(result.steering), color=REFINED_COLOR, lw=1.0, label="steering")
     _shade(axes, result, label=False)
     axes.set_ylabel("degrees, to the right")
     _label_time(axes, result)

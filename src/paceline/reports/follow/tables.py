@@ -46,6 +46,7 @@ def write_summary(result: FollowResult, tally: Tally, file: Path) -> None:
     summary = {
         "clip": result.clip,
         "target": result.target,
+        "width": {"value": result.width.metres, "std": result.width.std, "assumed": result.width.assumed},
         "frames": tally.frames,
         "tracked_share": tally.share,
         "status": {name: tally.status[name] for name in ("tracking", "coasting", "lost")},
@@ -65,6 +66,8 @@ def write_summary(result: FollowResult, tally: Tally, file: Path) -> None:
             "median": finite_quantile(result.latency), "p99": finite_quantile(result.latency, 0.99),
             "max": tally.latency_max,
         },
+        "steering": result.steering_goal,
+        "assumed": result.assumed,
         "duration_s": tally.stop - tally.start,
         "notices": result.notices,
         "configuration": result.configuration,

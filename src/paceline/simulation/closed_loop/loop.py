@@ -165,4 +165,4 @@ def start_tracker(scene: ChaseScene, first: ChaseTruth, configuration: FollowCon
     corners = np.array(list(document["corners"].values()))
     segments = np.array([[names.index(a), names.index(b)] for a, b in document["segments"]])
     target = Target(document["name"], document["nominal_range"], corners, segments)
-    return FollowTracker(scene.camera, target, np.array(start["center"]), float(start["scale"]), configuration)
+    return FollowTracker(scene.camera, target, (*start["center"], start["scale"]), configuration)

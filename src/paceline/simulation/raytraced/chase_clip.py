@@ -20,7 +20,7 @@ from paceline.simulation.chase.motion import CameraShake, GapProfile, SmoothNois
 from paceline.simulation.operator import draw_start
 from paceline.simulation.raytraced import clip_folder, road_surface
 from paceline.simulation.raytraced.meshes import Placement, SceneMesh
-from paceline.simulation.raytraced.mitsuba_variant import default_variant
+from paceline.simulation.raytraced.mitsuba_variant import default_variant, load_mitsuba
 from paceline.simulation.raytraced.renderer import Renderer
 from paceline.simulation.raytraced.scene import (
     OFF_SCENE,
@@ -165,6 +165,7 @@ def write(
 ) -> Path:
     """Render ``scene`` into ``directory`` and return the path of its follow.yaml; as `stereo_clip.write`."""
     directory, variant = Path(directory), variant or default_variant()
+    load_mitsuba(variant)  # is refused at once where it is not installed
     chase = PlacedChaseScene(_with_long_road(scene))
     renderer = Renderer(chase.static_meshes(), chase.moving_groups(), chase.light, variant)
     renderer.place([OFF_SCENE] * len(chase.moving_groups()))

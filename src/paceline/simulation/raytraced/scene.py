@@ -14,7 +14,7 @@ from paceline.cameras import Camera, PosedCamera, Quantity, RigUncertainty, Ster
 from paceline.documents.assumed_calibration import with_assumed_uncertainty
 from paceline.errors import UnusableInput
 from paceline.simulation.camera_errors import MovingViews, StereoErrors
-from paceline.simulation.operator import is_inside_image
+from paceline.simulation.operator import MIN_OUTLINE_WIDTH_PX, is_inside_image, never_outlined, outline_width
 from paceline.simulation.raytraced import road_surface
 from paceline.simulation.raytraced.light import Light
 from paceline.simulation.raytraced.meshes import Placement, SceneMesh
@@ -31,6 +31,7 @@ OFF_SCENE: Placement = (
     np.array([0.0, 0.0, -1e4]),
 )  # below the ground, for a vehicle that is not on the road
 MAX_RELIEF_M = 0.6  # m that a vehicle's own surfaces may lie before its plane
+MIN_TRUTH_DEPTH_M = 1.0  # of a plane whose place in the images is in truth.json
 VISIBILITY_GRID = 9, 15  # rows and columns of the points by which the visible share of a plane is estimated
 
 
@@ -134,9 +135,40 @@ class PlacedStereoScene:
             motion = VehicleMotion(self.road, drive, body.wheelbase)
         except UnusableInput as error:
             raise UnusableInput(f"vehicles[{i}]: {error}") from None
-        return PlacedVehicle(m, body, motion, body.front if self._shows_its_front(motion) else body.rear)
+        front, rear = (PlacedVehicle(m, body, motion, plane) for plane in (body.front, body.rear))
+        first = {end: self._first_outlined_frame(car) for end, car in (("front", front), ("rear", rear))}
+        if first["front"] == first["rear"]:  # neither is ever in view
+            return front if self._approaches(motion) else rear
+        return front if first["front"] < first["rear"] else rear
 
-    def _shows_its_front(self, motion: VehicleMotion) -> bool:
+    def _first_outlined_frame(self, car: PlacedVehicle) -> float:
+        """The first frame in which a vehicle's plane faces the left camera and could be outlined, were nothing in
+        front of it; infinite where there is none."""
+        view, size = self.views[0], self.rig.left.image_size
+        for k, times in enumerate(self.times.T.tolist()):
+            if not car.is_there(times[0]):
+                continue
+            outwards = car.motion.pose(times[0])[0][:, 0] * (1.0 if car.plane.end == "front" else -1.0)
+            if outwards @ (view.centre - car.center(times[0])) <= 0 or not self._is_before_cameras(
+                car.corners(times[0])
+            ):
+                continue
+            pixels = [self.project_plane(i, car, t) for i, t in enumerate(times)]
+            if all(is_inside_image(p, size) for p in pixels) and outline_width(pixels) >= MIN_OUTLINE_WIDTH_PX:
+                return k
+        return np.inf
+
+    def check_outlines(self) -> None:
+        """Raises UnusableInput for a measured vehicle that could never be outlined, even if nothing hid it."""
+        for car in self.vehicles:
+            if car.model.measured and self._first_outlined_frame(car) == np.inf:
+                raise never_outlined(car)
+
+    def _is_before_cameras(self, corners: Array) -> bool:
+        """Whether ``corners`` (4, 3) in the world are all at least MIN_TRUTH_DEPTH_M before both cameras."""
+        return min(float(view.to_camera(corners)[:, 2].min()) for view in self.views) >= MIN_TRUTH_DEPTH_M
+
+    def _approaches(self, motion: VehicleMotion) -> bool:
         """Whether the left camera sees a vehicle from ahead where it is farthest before it: one that overtakes it
         begins behind it."""
         view = self.views[0]
@@ -181,7 +213,7 @@ class PlacedStereoScene:
     def _row(self, car: PlacedVehicle, k: int, times: list[float], renderer: Renderer) -> dict[str, Any] | None:
         """The row of one vehicle in a frame whose left picture the world is placed for."""
         corners = car.corners(times[0])
-        if min(float(view.to_camera(corners)[:, 2].min()) for view in self.views) < 1.0:
+        if not self._is_before_cameras(corners):
             return None
         left, right = (self.project_plane(i, car, t) for i, t in enumerate(times))
         size = self.rig.left.image_size

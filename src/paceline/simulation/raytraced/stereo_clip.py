@@ -24,7 +24,7 @@ from paceline.simulation.camera_errors import MAX_MOTION_IN_BAND_PX, dirt_transm
 from paceline.simulation.operator import clip_document
 from paceline.simulation.raytraced import clip_folder
 from paceline.simulation.raytraced.light import Light
-from paceline.simulation.raytraced.mitsuba_variant import default_variant
+from paceline.simulation.raytraced.mitsuba_variant import default_variant, load_mitsuba
 from paceline.simulation.raytraced.renderer import Radiance, Renderer, Window
 from paceline.simulation.raytraced.scene import PlacedStereoScene, PlacedVehicle, make_sensor
 from paceline.simulation.raytraced.scene_yaml import SpeedScene, StereoErrorsModel
@@ -52,8 +52,10 @@ def write(
     Pictures that are there already, from a run that was interrupted, are kept. The same scene gives the same pictures
     bit for bit on the same variant of the renderer. Raises UnusableInput where the scene or the folder cannot be used.
     """
-    directory, variant = Path(directory), variant or default_variant()
     placed = PlacedStereoScene(scene)
+    placed.check_outlines()
+    directory, variant = Path(directory), variant or default_variant()
+    load_mitsuba(variant)  # is refused at once where it is not installed
     renderer = Renderer(placed.static_meshes(), placed.moving_groups(), placed.light, variant)
     truth = placed.truth(renderer)
 
