@@ -20,7 +20,7 @@ from console_served import CTRL, SHIFT, Console, consoled, halted, needs_chromiu
 from run_command import assert_one_line_error, paceline
 from tiny_clips import put_clip, rendered
 
-from paceline.reports.common.formatting import format_speed_number
+from paceline.reports.common.formatting import format_speed, format_speed_number
 
 
 @pytest.fixture(scope="module")
@@ -124,10 +124,8 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     assert summary["configuration"]["tolerance"] == pytest.approx(5 * 0.44704, rel=1e-3)
     (entry,) = summary["vehicles"]
     assert entry["verdict"] == "measured" and entry["speed_mps"] == pytest.approx(18.0, abs=0.5)
-    assert (
-        format_speed_number(entry["speed_mps"], "mph", (entry["speed_hi_mps"] - entry["speed_lo_mps"]) / 2)
-        in tab.text()
-    )
+    text = format_speed(*(entry[key] for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps")), "mph")
+    assert str(text) in tab.text() and text.ends in tab.text()
     tab.wait("document.querySelectorAll('.pl-chart canvas').length > 0")
     report = tab.run("[...document.links].find((a) => a.innerText === 'Open the report').href")
     tab.open(report)

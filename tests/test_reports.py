@@ -28,9 +28,12 @@ from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame
 from paceline.reports import OutputFolder, write_report
 from paceline.reports.common.formatting import (
+    align_decimals,
+    align_for_page,
     format_interval,
-    format_speed,
-    format_speed_number,
+    format_measurement,
+    format_parts,
+    format_uncertain,
     rejected_advice,
     speed_at,
 )
@@ -192,14 +195,48 @@ def test_summary_is_exact(out: Path) -> None:
 
 
 def test_random_and_systematic_parts_add_up() -> None:
-    words = format_speed(measured("v"), "m/s")
-    assert (words.speed, words.lo, words.hi, words.plus_minus) == ("20.1", "20.0", "20.2", "0.1")
+    text = format_measurement(measured("v"), "m/s")
+    assert (str(text), text.ends) == ("20.10 ± 0.10", "20.00 to 20.20")
     # 0.03 and 0.04 make 0.05; the interval's half width of 0.1 is twice that.
-    assert (words.random, words.systematic) == ("0.06", "0.08")
-    assert format_speed_number(20.123, "m/s", 0.04) == "20.12"
-    assert format_interval(20.123, 0.04, "m/s") == "20.12 ± 0.04"
-    assert format_interval(20.123, NAN, "km/h") == "72.4 ± –"
-    assert format_speed(replace(measured("v"), systematic_std=NAN), "mph").systematic == "–"
+    assert format_parts(measured("v"), "m/s") == ("0.06", "0.08")
+    assert format_parts(replace(measured("v"), systematic_std=NAN), "mph")[1] == "–"
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "shown", "ends"),
+    [
+        (31.124, 0.134, "31.12 ± 0.13", "30.99 to 31.25"),  # the upper end alone would be 31.26
+        (45.0, 0.0412, "45.000 ± 0.041", "44.959 to 45.041"),
+        (44.95, 0.0996, "44.95 ± 0.10", "44.85 to 45.05"),
+        (8.04, 1.26, "8.0 ± 1.3", "6.7 to 9.3"),
+        (72.4, 12.4, "72 ± 12", "60 to 84"),
+        (-0.02, 0.4, "−0.02 ± 0.40", "−0.42 to 0.38"),
+        (20.123, NAN, "20.1 ± –", "–"),
+        (NAN, NAN, "–", "–"),
+    ],
+)
+def test_numbers_have_the_decimals_of_their_uncertainty_and_add_up(
+    value: float, half: float, shown: str, ends: str
+) -> None:
+    text = format_interval(value, value - half, value + half)
+    assert (str(text), text.ends) == (shown, ends)
+    assert format_uncertain(value, half) == shown
+
+
+def test_an_interval_that_is_not_symmetric_keeps_its_ends() -> None:
+    text = format_interval(20.0, 19.4, 21.0)
+    assert (str(text), text.ends) == ("20.00 ± 0.80", "19.40 to 21.00")
+
+
+def test_columns_are_aligned_at_the_decimal_point() -> None:
+    assert align_decimals(["44.985 ± 0.086", "–", "8.0 ± 1.3", "104 ± 12"]) == [
+        " 44.985 ±  0.086",
+        "  –    ",
+        "  8.0   ±  1.3  ",
+        "104     ± 12    ",
+    ]
+    assert align_for_page(["1.5", "12"]) == ["\u20071.5", "12\u2008\u2007"]
+    assert align_decimals([]) == []
 
 
 def test_the_speed_of_a_frame_has_the_coverage_factor_of_the_mean() -> None:
@@ -296,7 +333,7 @@ class Page(HTMLParser):
 def test_page_is_complete_and_self_contained(out: Path) -> None:
     page = Page((out / "report.html").read_text())
     text = " ".join(page.text.split())
-    assert "45.0 mph, 95 % interval 44.7 to 45.2 mph" in text
+    assert "44.96 ± 0.22 mph, 95 % interval 44.74 to 45.18 mph" in text
     assert "Rejected: too few frames (7 of at least 8)" in text
     assert "Advice:" in text and "for longer" in text
     for part in ("± 0.13 random ± 0.18 systematic", "frame 4 repeats frame 3", "left the picture at frame 11"):
@@ -314,9 +351,9 @@ def test_page_is_complete_and_self_contained(out: Path) -> None:
 def test_the_cameras_are_told_with_their_uncertainty_and_what_it_does_to_a_speed() -> None:
     assert camera_rows(CAMERAS) == [
         ("the right camera exposes later by", "8.00 ± 0.98 ms", "estimated", "0.39 %"),
-        ("the left camera reads its rows within", "0.00 ± 9.80 ms", "assumed", "0.20 %"),
+        ("the left camera reads its rows within", "0.0 ± 9.8 ms", "assumed", "0.20 %"),
         ("the left camera turns, RMS", "0.40 px", "estimated", "–"),
-        ("static points are off their epipolar lines, RMS", "0.30 ± 0.10 px", "estimated", "–"),
+        ("static points are off their epipolar lines, RMS", "0.300 ± 0.098 px", "estimated", "–"),
         ("the calibration’s uncertainty", "–", "assumed", "the systematic part of each speed"),
     ]
     assert camera_rows({}) == camera_rows({"epipolar_px": None, "assumed": []}) == []
@@ -383,7 +420,7 @@ def browse(page: Path, folder: Path, width: int = 1280) -> tuple[str, Path, set[
 def test_page_in_a_browser(out: Path, tmp_path: Path, width: int) -> None:
     """The page renders, shows its numbers and asks the network for nothing."""
     text, shot, asked = browse(out / "report.html", tmp_path, width)
-    assert "45.0 mph" in text and "44.7 to 45.2" in text
+    assert "44.96 ± 0.22 mph" in text and "44.74 to 45.18" in text
     pixels = cv2.imread(str(shot))
     assert pixels is not None and pixels.shape == (1400, width, 3) and pixels.std() > 10
     assert not asked

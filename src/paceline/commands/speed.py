@@ -222,15 +222,16 @@ def detector_of(config: Path | None, settings: SpeedSettings) -> Path | None:
 
 
 def _print_result(result: ClipResult, unit: str) -> None:
-    from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict, rejected_advice
+    from paceline.reports.common.formatting import align_decimals, format_measurement, format_verdict, rejected_advice
 
-    rows = [("vehicle", f"speed, {unit}", "95 % interval", "verdict")]
-    for m in result.measurements:
-        formatted = format_speed(m, unit)
-        interval = f"{formatted.lo} to {formatted.hi}" if formatted.lo != NO_VALUE else NO_VALUE
-        speed = f"{formatted.speed} ± {formatted.plus_minus}" if formatted.known else NO_VALUE
-        rows.append((m.vehicle, speed, interval, format_verdict(m)))
-    print_columns(rows)
+    texts = [format_measurement(m, unit) for m in result.measurements]
+    columns = (
+        ("vehicle", *(m.vehicle for m in result.measurements)),
+        (f"speed, {unit}", *align_decimals([str(text) for text in texts])),
+        ("95 % interval", *align_decimals([text.ends for text in texts])),
+        ("verdict", *map(format_verdict, result.measurements)),
+    )
+    print_columns(list(zip(*columns, strict=True)))
     for m in result.measurements:
         if m.verdict != "measured":
             print(f"{m.vehicle}: {rejected_advice(m.reason_code)}")

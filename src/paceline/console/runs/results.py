@@ -15,10 +15,10 @@ from typing import Any
 from paceline.console.confinement import NotFound, file_below
 from paceline.errors import UnusableInput
 from paceline.reports.common.formatting import (
-    NO_VALUE,
-    format_interval,
+    IntervalText,
+    align_for_page,
     format_number,
-    format_speed_number,
+    format_speed,
     rejected_advice,
 )
 from paceline.units import COVERAGE_95, convert
@@ -166,18 +166,21 @@ def read_follow_summary(out: Path) -> dict[str, Any]:
 
 def vehicle_rows(vehicles: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:
     """A row of text per vehicle of a summary: speed, interval, frames, verdict, reason and advice."""
-    return [_vehicle_row(vehicle, unit) for vehicle in vehicles]
+    texts = [_speed_text(vehicle, unit) for vehicle in vehicles]
+    speeds, intervals = align_for_page([str(text) for text in texts]), align_for_page([text.ends for text in texts])
+    return [_vehicle_row(*row) for row in zip(vehicles, speeds, intervals, strict=True)]
 
 
-def _vehicle_row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
+def _speed_text(vehicle: dict[str, Any], unit: str) -> IntervalText:
     speed, lo, hi = (_number_or_nan(vehicle.get(key)) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
-    half = (hi - lo) / 2
+    return format_speed(speed, lo, hi, unit)
+
+
+def _vehicle_row(vehicle: dict[str, Any], speed: str, interval: str) -> dict[str, str]:
     return {
         "vehicle": str(vehicle.get("vehicle")),
-        "speed": NO_VALUE if math.isnan(speed) else format_interval(speed, half, unit),
-        "interval": NO_VALUE
-        if math.isnan(half)
-        else f"{format_speed_number(lo, unit, half)} to {format_speed_number(hi, unit, half)}",
+        "speed": speed,
+        "interval": interval,
         "frames": str(vehicle.get("frames")),
         "verdict": str(vehicle.get("verdict")),
         "reason": str(vehicle.get("reason") or ""),
@@ -186,21 +189,24 @@ def _vehicle_row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
 
 
 def compare_summaries(first: list[dict[str, Any]], second: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:
-    """A row per vehicle that both summaries have: both speeds, and the second minus the first."""
+    """A row per vehicle that both summaries have: both speeds, and the second minus the first, to the decimals that
+    both speeds have."""
     others = {str(vehicle.get("vehicle")): vehicle for vehicle in second}
     rows = []
     for vehicle in first:
         other = others.get(str(vehicle.get("vehicle")))
         if other is not None:
             a, b = _number_or_nan(vehicle.get("speed_mps")), _number_or_nan(other.get("speed_mps"))
-            change = round(convert(b - a, unit), 2) + 0.0  # no negative zero
+            texts = _speed_text(vehicle, unit), _speed_text(other, unit)
+            decimals = min(text.decimals for text in texts)
+            change = round(convert(b - a, unit), decimals) + 0.0  # no negative zero
             sign = "+" if change > 0 else ""
             rows.append(
                 {
                     "vehicle": str(vehicle.get("vehicle")),
-                    "first": _vehicle_row(vehicle, unit)["speed"],
-                    "second": _vehicle_row(other, unit)["speed"],
-                    "change": sign + format_number(change, 2),
+                    "first": str(texts[0]),
+                    "second": str(texts[1]),
+                    "change": sign + format_number(change, decimals),
                 }
             )
     return rows

@@ -11,8 +11,9 @@ import numpy as np
 
 from paceline.reports.common.formatting import (
     NO_VALUE,
-    format_interval,
+    align_for_page,
     format_number,
+    format_speed,
     format_speed_number,
     rejected_advice,
 )
@@ -40,7 +41,7 @@ def render_live_page(summary: dict[str, Any], pictures: Path, max_pictures: int,
         unmeasured=len(summary["unmeasured"]),
         median=format_speed_number(float(np.median(speeds)), unit) if len(speeds) else NO_VALUE,
         period=_format_period(passages),
-        rows=[_passage_row(v, unit) for v in passages],
+        rows=_passage_rows(passages, unit),
         pictures=_pictures(vehicles[-max_pictures:], pictures, unit),
         kept=max_pictures,
         plot=plot,
@@ -57,6 +58,15 @@ def _format_period(passages: Sequence[Passage]) -> str:
     first, last = (passages[k]["seen_at"] for k in (0, -1))
     end = last[11:19] if last[:10] == first[:10] else f"{last[:10]} {last[11:19]}"
     return f"{first[:10]}, {first[11:19]} to {end}"
+
+
+def _passage_rows(passages: Sequence[Passage], unit: str) -> list[dict[str, str]]:
+    """The rows of the table, their numbers aligned."""
+    rows = [_passage_row(v, unit) for v in passages]
+    for key in ("speed", "interval"):
+        for row, text in zip(rows, align_for_page([row[key] for row in rows]), strict=True):
+            row[key] = text
+    return rows
 
 
 def _passage_row(passage: Passage, unit: str) -> dict[str, str]:
@@ -87,9 +97,8 @@ def _speed_columns(passage: Passage, unit: str) -> dict[str, str]:
     if passage.get("verdict") != "measured":
         return {"speed": NO_VALUE, "interval": NO_VALUE}
     speed, lo, hi = (float(passage[key]) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
-    half = (hi - lo) / 2
-    ends = " to ".join(format_speed_number(value, unit, half) for value in (lo, hi))
-    return {"speed": format_interval(speed, half, unit), "interval": ends}
+    text = format_speed(speed, lo, hi, unit)
+    return {"speed": str(text), "interval": text.ends}
 
 
 def _pictures(vehicles: Sequence[Passage], folder: Path, unit: str) -> list[dict[str, Any]]:

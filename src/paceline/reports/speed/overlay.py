@@ -25,7 +25,7 @@ from paceline.reports.common.drawing import (
     draw_text,
     scale_points,
 )
-from paceline.reports.common.formatting import format_interval, speed_at
+from paceline.reports.common.formatting import format_measurement
 from paceline.reports.common.video import VideoWriter, pad_to_even
 from paceline.speed.results import ClipResult, Measurement, Track
 
@@ -112,11 +112,12 @@ class _Layer:
         self.still_rows = {tracked_rows[i] for i in (0, len(tracked_rows) // 2, -1)} if tracked_rows else set()
 
     def label(self, row: int, unit: str) -> str:
+        """The vehicle's speed, the same in every frame, or why there is none in the frame of ``row``."""
         if self.track.status[row] != "tracking":
             return f"{self.track.vehicle}  {self.track.status[row]}"
-        speed, half = speed_at(self.measurement, row)
-        text = f"{self.track.vehicle}  {format_interval(speed, half, unit)} {unit}"
-        return text + "  (rejected)" if self.rejected else text
+        if self.rejected:
+            return f"{self.track.vehicle}  rejected"
+        return f"{self.track.vehicle}  {format_measurement(self.measurement, unit)} {unit}"
 
     def outline_color(self, row: int) -> Color:
         return self.color if self.track.status[row] == "tracking" else LOST_COLOR

@@ -8,12 +8,13 @@ import numpy as np
 
 from paceline.reports.common.formatting import (
     NO_VALUE,
-    SpeedText,
+    IntervalText,
+    align_for_page,
     distance_travelled,
-    format_interval,
+    format_measurement,
     format_number,
-    format_speed,
-    format_speed_number,
+    format_parts,
+    format_uncertain,
     path_length,
     rejected_advice,
     speed_at,
@@ -44,8 +45,9 @@ def write_page(
         {
             "id": m.vehicle,
             "m": m,
-            "text": (text := format_speed(m, unit)),
-            "headline": _headline(m, text),
+            "text": (text := format_measurement(m, unit)),
+            "parts": format_parts(m, unit),
+            "headline": _headline(m, text, unit),
             "assumed": _is_calibration_assumed(m),
             "color": colors[m.vehicle],
             "advice": rejected_advice(m.reason_code),
@@ -73,11 +75,11 @@ def write_page(
     file.write_text(html, encoding="utf-8")
 
 
-def _headline(measurement: Measurement, text: SpeedText) -> str:
+def _headline(measurement: Measurement, text: IntervalText, unit: str) -> str:
     """The result in one line."""
     if measurement.verdict != "measured":
         return f"Rejected: {measurement.reason}"
-    return f"{text.speed} {text.unit}, 95 % interval {text.lo} to {text.hi} {text.unit}"
+    return f"{text} {unit}, 95 % interval {text.ends} {unit}"
 
 
 def _is_calibration_assumed(measurement: Measurement) -> bool:
@@ -110,19 +112,18 @@ def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
 def _rows(measurement: Measurement, unit: str) -> list[list[str]]:
     """The table of frames as text."""
     track = measurement.track
-    rows = []
-    for i, status in enumerate(track.status):
-        best, half = speed_at(measurement, i)
-        spread = float(track.speed_std[i])
-        rows.append(
-            [
-                str(track.frame[i]),
-                f"{track.time[i]:.3f}",
-                status,
-                format_interval(best, half, unit),
-                f"{format_speed_number(float(track.speed[i]), unit)} ± {format_speed_number(2 * spread, unit)}",
-                format_number(float(track.position[i, 2]), 2),
-                format_number(float(track.ess[i]), 0),
-            ]
-        )
-    return rows
+    speeds = [format_uncertain(*(convert(v, unit) for v in speed_at(measurement, i))) for i in range(len(track.frame))]
+    filtered = [
+        format_uncertain(convert(speed, unit), convert(2 * spread, unit))
+        for speed, spread in zip(track.speed.tolist(), track.speed_std.tolist(), strict=True)
+    ]
+    columns = (
+        [str(frame) for frame in track.frame],
+        [f"{time:.3f}" for time in track.time],
+        track.status,
+        align_for_page(speeds),
+        align_for_page(filtered),
+        [format_number(float(z), 2) for z in track.position[:, 2]],
+        [format_number(float(ess), 0) for ess in track.ess],
+    )
+    return [list(row) for row in zip(*columns, strict=True)]
