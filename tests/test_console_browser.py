@@ -99,6 +99,8 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     tab.wait(f"{tolerance}?.offsetHeight > 0")
     tab.run(f"{tolerance}.focus()")
     tab.call("Input.insertText", text="5")
+    tab.run("document.querySelector('input[aria-label=\"Speed limit\"]').focus()")
+    tab.call("Input.insertText", text="30 mph")
     tab.click("Start")
     other.wait_for("Cancel")  # every tab sees it
     with halted(root / "north", lambda: "Close-up of v0" in other.text()):
@@ -124,6 +126,7 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     assert summary["configuration"]["tolerance"] == pytest.approx(5 * 0.44704, rel=1e-3)
     (entry,) = summary["vehicles"]
     assert entry["verdict"] == "measured" and entry["speed_mps"] == pytest.approx(18.0, abs=0.5)
+    assert entry["compliance"] == "over" and "over 30 mph" in tab.text()
     text = format_speed(*(entry[key] for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps")), "mph")
     assert str(text) in tab.text() and text.ends in tab.text()
     tab.wait("document.querySelectorAll('.pl-chart canvas').length > 0")

@@ -39,6 +39,7 @@ from paceline.reports.common.formatting import (
 )
 from paceline.reports.common.video import VideoWriter
 from paceline.reports.speed.cameras import camera_rows
+from paceline.reports.speed.overlay import format_label
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.units import COVERAGE_95
 from paceline.verdicts import message
@@ -95,7 +96,7 @@ def track(vehicle: str, first: int = 0, refined: bool = True) -> Track:
 def measured(vehicle: str) -> Measurement:
     return Measurement(
         vehicle, track(vehicle), speed=20.1, speed_lo=20.0, speed_hi=20.2, random_std=0.03, systematic_std=0.04,
-        frames=10, verdict="measured", reason="", model="constant speed", residual_rms=3.2,
+        frames=10, verdict="measured", reason="", model="constant speed", residual_rms=3.2, limit=18.0,
     )  # fmt: skip
 
 
@@ -122,7 +123,7 @@ def clip_result() -> ClipResult:
     pixels[0] = NAN  # a point behind the camera has no picture
     return ClipResult(
         clip="road/clip.yaml",
-        measurements=[measured("v0"), measured("v1"), rejected("v2")],
+        measurements=[measured("v0"), replace(measured("v1"), limit=20.15), rejected("v2")],
         paths=[PathDrawing("lane0", line, pixels, pixels)],
         configuration={"particles": 400, "refine": True, "noise": {"speed": 0.5, "limit": float("inf")}},
         versions={"paceline": "0.1.0"},
@@ -184,10 +185,11 @@ def test_summary_is_exact(out: Path) -> None:
         "vehicle": "v0", "speed_mps": 20.1, "speed_lo_mps": 20.0, "speed_hi_mps": 20.2, "frames": 10,
         "verdict": "measured", "reason": "", "reason_code": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04,
         "calibrated_by": 0, "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2,
-        "corners_difference_mps": None, "corners_difference_std_mps": None, "notices": [],
+        "corners_difference_mps": None, "corners_difference_std_mps": None, "limit_mps": 18.0, "compliance": "over",
+        "notices": [],
     }  # fmt: skip
     assert last["verdict"] == "rejected" and last["reason"].startswith("too few frames")
-    assert last["reason_code"] == "seen_briefly"
+    assert last["reason_code"] == "seen_briefly" and last["compliance"] is None
     assert last["speed_mps"] is None and last["speed_lo_mps"] is None
     assert summary["configuration"] == {"particles": 400, "refine": True, "noise": {"speed": 0.5, "limit": None}}
     assert summary["versions"] == {"paceline": "0.1.0"}
@@ -237,6 +239,25 @@ def test_columns_are_aligned_at_the_decimal_point() -> None:
     ]
     assert align_for_page(["1.5", "12"]) == ["\u20071.5", "12\u2008\u2007"]
     assert align_decimals([]) == []
+
+
+@pytest.mark.parametrize(
+    ("limit", "compliance", "shown"),
+    [
+        (20.2, "within", "v0  44.96 ± 0.22 mph, within 45.2 mph"),
+        (20.1999, "undecided", "v0  44.96 ± 0.22 mph, undecided at 45.2 mph"),
+        (20.0, "undecided", "v0  44.96 ± 0.22 mph, undecided at 44.7 mph"),
+        (30 * 0.44704, "over", "v0  44.96 ± 0.22 mph, over 30 mph"),
+        (None, None, "v0  44.96 ± 0.22 mph"),
+    ],
+)
+def test_a_limit_is_kept_exceeded_or_neither_is_sure(limit: float | None, compliance: str | None, shown: str) -> None:
+    vehicle = replace(measured("v0"), limit=limit)
+    assert vehicle.compliance == compliance
+    assert format_label(vehicle, "tracking", "mph") == shown
+    assert format_label(vehicle, "lost", "mph") == "v0  lost"
+    unknown = replace(rejected("v2"), limit=limit)
+    assert unknown.compliance is None and format_label(unknown, "tracking", "mph") == "v2  rejected"
 
 
 def test_the_speed_of_a_frame_has_the_coverage_factor_of_the_mean() -> None:
@@ -338,6 +359,8 @@ def test_page_is_complete_and_self_contained(out: Path) -> None:
     assert "Advice:" in text and "for longer" in text
     for part in ("± 0.13 random ± 0.18 systematic", "frame 4 repeats frame 3", "left the picture at frame 11"):
         assert part in text
+    assert "0 within the limit, 1 over it, 1 undecided, as the limit lies inside the 95 % interval." in text
+    assert "over 40.3 mph" in text and "undecided at 45.1 mph" in text
     for part in ("How it was measured", "What the interval means", "noise.speed", "paceline 0.1.0", "Path lane0"):
         assert part in text
     for cells in camera_rows(CAMERAS):
@@ -420,7 +443,7 @@ def browse(page: Path, folder: Path, width: int = 1280) -> tuple[str, Path, set[
 def test_page_in_a_browser(out: Path, tmp_path: Path, width: int) -> None:
     """The page renders, shows its numbers and asks the network for nothing."""
     text, shot, asked = browse(out / "report.html", tmp_path, width)
-    assert "44.96 ± 0.22 mph" in text and "44.74 to 45.18" in text
+    assert "44.96 ± 0.22 mph" in text and "44.74 to 45.18" in text and "over 40.3 mph" in text
     pixels = cv2.imread(str(shot))
     assert pixels is not None and pixels.shape == (1400, width, 3) and pixels.std() > 10
     assert not asked

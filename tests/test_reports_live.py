@@ -58,6 +58,7 @@ def test_the_live_report_lists_every_vehicle(tmp_path: Path) -> None:
         assert word in text, word
     first, second = passed(0), passed(1, rejected("v"))
     assert f"{first.speed / 0.44704:.2f} ± 0.22" in text and f"rejected: {second.reason}" in text
+    assert "over 40.3 mph" in text and "0 within the limit, 1 over it." in text
     assert "<b>" not in page and "<i>" not in page and "://" not in re.sub(r"data:[^\"]*", "", page)
     pictures = re.findall(r'data:image/jpeg;base64,([^"]+)"', page)
     assert [base64.b64decode(p) for p in pictures] == [

@@ -134,6 +134,8 @@ def measure_as_seen(
         )
         for m in result.measurements
     ]
+    limits = {v.id: cameras.clip.limit_on(v.path) for v in cameras.clip.vehicles}
+    measurements = [replace(m, limit=limits.get(m.vehicle)) for m in measurements]
     if (found := cameras.frame_times) is not None:
         measurements = [_of_clear_times(m, found) for m in measurements]
     return replace(

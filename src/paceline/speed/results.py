@@ -19,7 +19,7 @@ CONFIDENCE_LEVEL = 0.95  # confidence level of all intervals
 SUMMARY_COLUMNS = (
     "vehicle", "speed_mps", "speed_lo_mps", "speed_hi_mps", "frames", "verdict", "reason", "reason_code",
     "random_std_mps", "systematic_std_mps", "calibrated_by", "model", "acceleration_mps2", "residual_rms",
-    "corners_difference_mps", "corners_difference_std_mps",
+    "corners_difference_mps", "corners_difference_std_mps", "limit_mps", "compliance",
 )  # fmt: skip
 
 
@@ -106,6 +106,15 @@ class Measurement:
     calibrated_by: int = 0  # vehicles whose images have corrected the calibration of rig.yaml
     rig_information: RigInformation | None = None  # for joint calibration, None where that is done or impossible
     reason_code: str = ""  # of `paceline.verdicts`; empty when measured
+    limit: float | None = None  # m/s, the posted limit
+
+    @property
+    def compliance(self) -> str | None:
+        """Whether the limit is kept, by the 95 % interval: ``within``, ``over`` or ``undecided``; None without a limit
+        or a measured speed."""
+        if self.limit is None or self.verdict != "measured":
+            return None
+        return "within" if self.speed_hi <= self.limit else "over" if self.speed_lo > self.limit else "undecided"
 
     def summary(self) -> dict[str, object]:
         """The vehicle's entry of summary.json."""
@@ -126,6 +135,8 @@ class Measurement:
             "residual_rms": self.residual_rms,
             "corners_difference_mps": self.corners_difference,
             "corners_difference_std_mps": self.corners_difference_std,
+            "limit_mps": self.limit,
+            "compliance": self.compliance,
             "notices": self.notices,
         }
 

@@ -291,7 +291,8 @@ class MeasurementQueue:
         measurement, reason = None, waiting.found.reason
         if waiting.measured is not None:
             try:
-                measurement = self._jointly_calibrated(waiting.measured.result())
+                limit = self._clip.limit_on(waiting.found.path)
+                measurement = replace(self._jointly_calibrated(waiting.measured.result()), limit=limit)
             except UnusableInput as unusable:
                 reason = message("input_unusable", problem=unusable)
         self._on_result(waiting.found, measurement, reason)

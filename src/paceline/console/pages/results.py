@@ -38,6 +38,7 @@ TABLE_COLUMNS = [
     )
 ]  # fmt: skip
 SEEN_COLUMN = {"name": "seen", "label": "seen, s", "field": "seen", "align": "left"}
+LIMIT_COLUMN = {"name": "limit", "label": "limit", "field": "limit", "align": "left"}
 ADVICE_COLUMN = {"name": "advice", "label": "advice", "field": "advice", "align": "left"}
 ROWS_PER_PAGE = 50
 MAX_ROWS = 1000  # rows of a table; ten times as many would block all pages for a second
@@ -95,6 +96,8 @@ def show_vehicle_table(vehicles: list[dict[str, Any]], unit: str, max_rows: int 
     live = any("seen_from_s" in vehicle for vehicle in vehicles)
     rows = vehicle_rows(vehicles, unit)
     columns = [{**column, "label": column["label"].format(unit=unit)} for column in TABLE_COLUMNS]
+    if any(vehicle.get("limit_mps") is not None for vehicle in vehicles):
+        columns.insert(3, LIMIT_COLUMN)
     if any(row["advice"] for row in rows):
         columns.append(ADVICE_COLUMN)
     if live:

@@ -17,6 +17,7 @@ from paceline.errors import UnusableInput
 from paceline.reports.common.formatting import (
     IntervalText,
     align_for_page,
+    format_compliance,
     format_number,
     format_speed,
     rejected_advice,
@@ -168,7 +169,8 @@ def vehicle_rows(vehicles: list[dict[str, Any]], unit: str) -> list[dict[str, st
     """A row of text per vehicle of a summary: speed, interval, frames, verdict, reason and advice."""
     texts = [_speed_text(vehicle, unit) for vehicle in vehicles]
     speeds, intervals = align_for_page([str(text) for text in texts]), align_for_page([text.ends for text in texts])
-    return [_vehicle_row(*row) for row in zip(vehicles, speeds, intervals, strict=True)]
+    compliance = [format_compliance(v.get("compliance"), _number_or_none(v.get("limit_mps")), unit) for v in vehicles]
+    return [_vehicle_row(*row) for row in zip(vehicles, speeds, intervals, compliance, strict=True)]
 
 
 def _speed_text(vehicle: dict[str, Any], unit: str) -> IntervalText:
@@ -176,11 +178,12 @@ def _speed_text(vehicle: dict[str, Any], unit: str) -> IntervalText:
     return format_speed(speed, lo, hi, unit)
 
 
-def _vehicle_row(vehicle: dict[str, Any], speed: str, interval: str) -> dict[str, str]:
+def _vehicle_row(vehicle: dict[str, Any], speed: str, interval: str, limit: str) -> dict[str, str]:
     return {
         "vehicle": str(vehicle.get("vehicle")),
         "speed": speed,
         "interval": interval,
+        "limit": limit,
         "frames": str(vehicle.get("frames")),
         "verdict": str(vehicle.get("verdict")),
         "reason": str(vehicle.get("reason") or ""),
@@ -214,3 +217,7 @@ def compare_summaries(first: list[dict[str, Any]], second: list[dict[str, Any]],
 
 def _number_or_nan(value: object) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _number_or_none(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) else None

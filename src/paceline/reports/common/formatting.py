@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,6 +125,30 @@ def align_for_page(texts: Sequence[str]) -> list[str]:
 def format_verdict(measurement: Measurement) -> str:
     """The verdict, with its reason where there is one."""
     return f"{measurement.verdict}: {measurement.reason}" if measurement.reason else measurement.verdict
+
+
+def format_limit(limit: float, unit: str) -> str:
+    """A posted ``limit`` (m/s) in ``unit``, for example ``30 mph``."""
+    return f"{round(convert(limit, unit), 1):g} {unit}"
+
+
+def format_compliance(compliance: str | None, limit: float | None, unit: str) -> str:
+    """Whether a vehicle keeps the ``limit`` (m/s), for example ``over 30 mph``; NO_VALUE where that is not known."""
+    if compliance is None or limit is None:
+        return NO_VALUE
+    preposition = " at" if compliance == "undecided" else ""
+    return f"{compliance}{preposition} {format_limit(limit, unit)}"
+
+
+def count_compliance(compliance: Iterable[str | None]) -> str:
+    """How many vehicles keep the limit, in a sentence; empty where that is not known of any."""
+    counts = Counter(compliance)
+    if not counts["within"] + counts["over"] + counts["undecided"]:
+        return ""
+    text = f"{counts['within']} within the limit, {counts['over']} over it"
+    if counts["undecided"]:
+        text += f", {counts['undecided']} undecided, as the limit lies inside the 95 % interval"
+    return f"{text}."
 
 
 def coverage_factor(measurement: Measurement) -> float:
