@@ -126,6 +126,8 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     assert summary["configuration"]["tolerance"] == pytest.approx(5 * 0.44704, rel=1e-3)
     (entry,) = summary["vehicles"]
     assert entry["verdict"] == "measured" and entry["speed_mps"] == pytest.approx(18.0, abs=0.5)
+    tab.wait("[...document.querySelectorAll('.pl-thumbnail')].some((i) => i.naturalWidth > 0)")
+    assert "approaching" in tab.text() and "lane0" in tab.text() and "Every vehicle (CSV)" in tab.text()
     assert entry["compliance"] == "over" and "over 30 mph" in tab.text()
     text = format_speed(*(entry[key] for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps")), "mph")
     assert str(text) in tab.text() and text.ends in tab.text()

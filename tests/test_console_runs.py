@@ -261,6 +261,10 @@ def test_the_folder_itself_may_be_a_clip(tmp_path: Path) -> None:
     clip = put_clip(tmp_path.resolve())
     library = Library(clip)
     assert library.names() == ["."] and library.entry(".").state == "ready"
+    run = library.runs.start(".", "speed", [])
+    copy = library.runs.input_document(run)
+    assert (copy.parent.name, load_clip(copy).left) == (clip.name, clip / "left")  # a report is titled by its folder
+    library.runs.cancel(".", run.number)
     library.runs.close()
 
 

@@ -96,7 +96,8 @@ def track(vehicle: str, first: int = 0, refined: bool = True) -> Track:
 def measured(vehicle: str) -> Measurement:
     return Measurement(
         vehicle, track(vehicle), speed=20.1, speed_lo=20.0, speed_hi=20.2, random_std=0.03, systematic_std=0.04,
-        frames=10, verdict="measured", reason="", model="constant speed", residual_rms=3.2, limit=18.0,
+        frames=10, verdict="measured", reason="", model="constant speed", residual_rms=3.2, path="lane0",
+        direction="with", limit=18.0,
     )  # fmt: skip
 
 
@@ -147,8 +148,10 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_files(out: Path) -> None:
     names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
+    pictures = [f"pictures/{v}.jpg" for v in ("v0", "v1", "v2")]
     plots = [f"plots/{v}-{kind}.png" for v in ("v0", "v1", "v2") for kind in ("depth", "particles", "speed")]
-    assert names == sorted(["estimates.csv", "summary.json", "report.html", "overlay.mp4", "plots/plan.png", *plots])
+    tables = ["estimates.csv", "vehicles.csv", "summary.json"]
+    assert names == sorted([*tables, "report.html", "overlay.mp4", "plots/plan.png", *plots, *pictures])
     assert sorted(p.name for p in out.parent.iterdir()) == ["out"]
 
 
@@ -185,8 +188,9 @@ def test_summary_is_exact(out: Path) -> None:
         "vehicle": "v0", "speed_mps": 20.1, "speed_lo_mps": 20.0, "speed_hi_mps": 20.2, "frames": 10,
         "verdict": "measured", "reason": "", "reason_code": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04,
         "calibrated_by": 0, "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2,
-        "corners_difference_mps": None, "corners_difference_std_mps": None, "limit_mps": 18.0, "compliance": "over",
-        "notices": [],
+        "corners_difference_mps": None, "corners_difference_std_mps": None, "path": "lane0", "direction": "with",
+        "travel": "approaching", "seen_from_s": 3.0, "seen_to_s": pytest.approx(5.0), "limit_mps": 18.0,
+        "compliance": "over", "notices": [], "picture": "pictures/v0.jpg",
     }  # fmt: skip
     assert last["verdict"] == "rejected" and last["reason"].startswith("too few frames")
     assert last["reason_code"] == "seen_briefly" and last["compliance"] is None
@@ -194,6 +198,10 @@ def test_summary_is_exact(out: Path) -> None:
     assert summary["configuration"] == {"particles": 400, "refine": True, "noise": {"speed": 0.5, "limit": None}}
     assert summary["versions"] == {"paceline": "0.1.0"}
     assert summary["notices"] == ["frame 4 repeats frame 3"]
+    with (out / "vehicles.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for row, vehicle in zip(rows, summary["vehicles"], strict=True):
+        assert row == {k: "" if v is None else str(v) for k, v in vehicle.items() if k != "notices"}
 
 
 def test_random_and_systematic_parts_add_up() -> None:
@@ -273,6 +281,8 @@ def test_without_an_overlay_the_report_has_its_stills_and_no_link(out: Path, tmp
     page, with_video = ((folder / "report.html").read_text(encoding="utf-8") for folder in (tmp_path / "out", out))
     assert "overlay.mp4" in with_video and "overlay.mp4" not in page and "overlay video" not in page
     assert page.count('src="data:image/jpeg') == with_video.count('src="data:image/jpeg') > 0
+    jpeg = base64.b64encode((out / "pictures" / "v1.jpg").read_bytes()).decode()
+    assert page.count(jpeg) >= 2  # on the card and among the stills
 
 
 def test_overlay_plays_with_the_recordings_times(out: Path) -> None:
@@ -354,6 +364,8 @@ class Page(HTMLParser):
 def test_page_is_complete_and_self_contained(out: Path) -> None:
     page = Page((out / "report.html").read_text())
     text = " ".join(page.text.split())
+    assert page.text.strip().startswith("Speeds in road") and "Paceline speed report road road/clip.yaml" in text
+    assert "lane0, approaching, 3.0 to 5.0 s" in text and "approaching, 3.6 to 5.0 s" in text
     assert "44.96 ± 0.22 mph, 95 % interval 44.74 to 45.18 mph" in text
     assert "Rejected: too few frames (7 of at least 8)" in text
     assert "Advice:" in text and "for longer" in text
@@ -365,10 +377,10 @@ def test_page_is_complete_and_self_contained(out: Path) -> None:
         assert part in text
     for cells in camera_rows(CAMERAS):
         assert "".join(cells) in text
-    local = {"overlay.mp4", "estimates.csv", "summary.json"}
+    local = {"overlay.mp4", "vehicles.csv", "estimates.csv", "summary.json"}
     assert {a for a in page.addresses if not a.startswith("data:")} == local
     assert "script" not in page.tags
-    assert page.tags.count("img") == 3 * (3 * 2 + 3) + 1  # stills and plots of three vehicles, and the plan
+    assert page.tags.count("img") == 3 * (1 + 3 * 2 + 3) + 1  # card, stills and plots of three vehicles, and the plan
 
 
 def test_the_cameras_are_told_with_their_uncertainty_and_what_it_does_to_a_speed() -> None:

@@ -114,8 +114,12 @@ def speed(
         raise UnusableInput("--background-seconds: goes with --live only")
     result = _measure(clip, out, settings, quiet, detector, limit_mps)
     if not quiet:
+        from paceline.reports.speed.tables import PICTURES_FOLDER
+
         _print_result(result, settings.report.units)
         print(f"\nReport: {out / 'report.html'}")
+        if (out / PICTURES_FOLDER).is_dir():
+            print(f"Pictures of the vehicles: {out / PICTURES_FOLDER}")
     return EXIT_DONE if any(m.verdict == "measured" for m in result.measurements) else EXIT_NOTHING_MEASURED
 
 
@@ -244,9 +248,11 @@ def detector_of(config: Path | None, settings: SpeedSettings) -> Path | None:
 
 def _print_result(result: ClipResult, unit: str) -> None:
     from paceline.reports.common.formatting import (
+        NO_VALUE,
         align_decimals,
         format_compliance,
         format_measurement,
+        format_seen,
         format_verdict,
         rejected_advice,
     )
@@ -259,6 +265,11 @@ def _print_result(result: ClipResult, unit: str) -> None:
     ]
     if any(m.limit is not None for m in result.measurements):
         columns.append(("limit", *(format_compliance(m.compliance, m.limit, unit) for m in result.measurements)))
+    columns += [
+        ("lane", *(m.path or NO_VALUE for m in result.measurements)),
+        ("direction", *(m.travel or NO_VALUE for m in result.measurements)),
+        ("seen, s", *(format_seen(m.seen) for m in result.measurements)),
+    ]
     columns.append(("verdict", *map(format_verdict, result.measurements)))
     print_columns(list(zip(*columns, strict=True)))
     for m in result.measurements:

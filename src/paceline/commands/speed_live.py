@@ -150,6 +150,7 @@ def _format_vehicle(
 
     name = detected.vehicle.id if detected.vehicle is not None else NO_VALUE
     prefix = f"{time.strftime('%H:%M:%S')}  {name:<5} {detected.path:<8}"
+    prefix += f" {(measurement.travel if measurement else None) or NO_VALUE:<12}"
     if measurement is None:
         return f"{prefix} not measured: {reason}{_advice(reason.advice)}"
     formatted = format_measurement(measurement, unit)

@@ -15,17 +15,21 @@ from typing import Any
 from paceline.console.confinement import NotFound, file_below
 from paceline.errors import UnusableInput
 from paceline.reports.common.formatting import (
+    NO_VALUE,
     IntervalText,
     align_for_page,
     format_compliance,
     format_number,
+    format_seen,
     format_speed,
     rejected_advice,
 )
+from paceline.reports.speed.tables import PICTURES_FOLDER
 from paceline.units import COVERAGE_95, convert
 
 RESULT_FILES = {  # of a run, with the text of their links
     "report.html": "Open the report",
+    "vehicles.csv": "Every vehicle (CSV)",
     "estimates.csv": "Every frame (CSV)",
     "track.csv": "Every frame (CSV)",
     "summary.json": "Summary (JSON)",
@@ -75,9 +79,16 @@ def nothing_measured_reason(out: Path) -> str:
     return str(reasons[0]) if reasons else "no vehicle passed that could be measured"
 
 
-def picture_name(vehicle: str) -> str:
-    """The picture of a live run's ``vehicle``, relative to the output folder."""
-    return f"pictures/{vehicle}.jpg"
+def picture_name(stem: str) -> str:
+    """A vehicle's picture, relative to the output folder; in a live run ``stem`` is the vehicle's id."""
+    return f"{PICTURES_FOLDER}/{stem}.jpg"
+
+
+def picture_stem(vehicle: dict[str, Any]) -> str | None:
+    """That of the picture that a summary names for a ``vehicle``; None where there is none."""
+    name = str(vehicle.get("picture") or "")
+    stem = name.removeprefix(f"{PICTURES_FOLDER}/").removesuffix(".jpg")
+    return stem if stem and "/" not in stem and picture_name(stem) == name else None
 
 
 def result_files(out: Path) -> dict[str, str]:
@@ -166,7 +177,7 @@ def read_follow_summary(out: Path) -> dict[str, Any]:
 
 
 def vehicle_rows(vehicles: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:
-    """A row of text per vehicle of a summary: speed, interval, frames, verdict, reason and advice."""
+    """A row of text per vehicle of a summary: speed, interval, limit, lane, direction, time, verdict and more."""
     texts = [_speed_text(vehicle, unit) for vehicle in vehicles]
     speeds, intervals = align_for_page([str(text) for text in texts]), align_for_page([text.ends for text in texts])
     compliance = [format_compliance(v.get("compliance"), _number_or_none(v.get("limit_mps")), unit) for v in vehicles]
@@ -184,11 +195,19 @@ def _vehicle_row(vehicle: dict[str, Any], speed: str, interval: str, limit: str)
         "speed": speed,
         "interval": interval,
         "limit": limit,
+        "lane": str(vehicle.get("path") or NO_VALUE),
+        "travel": str(vehicle.get("travel") or NO_VALUE),
+        "seen": _format_seen(vehicle),
         "frames": str(vehicle.get("frames")),
         "verdict": str(vehicle.get("verdict")),
         "reason": str(vehicle.get("reason") or ""),
         "advice": rejected_advice(str(vehicle.get("reason_code"))) if vehicle.get("verdict") == "rejected" else "",
     }
+
+
+def _format_seen(vehicle: dict[str, Any]) -> str:
+    times = [time for key in ("seen_from_s", "seen_to_s") if (time := _number_or_none(vehicle.get(key))) is not None]
+    return format_seen(times if len(times) == 2 else None)
 
 
 def compare_summaries(first: list[dict[str, Any]], second: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -127,6 +128,17 @@ def format_verdict(measurement: Measurement) -> str:
     return f"{measurement.verdict}: {measurement.reason}" if measurement.reason else measurement.verdict
 
 
+def recording_title(clip: str) -> str:
+    """What a recording is called: the folder of its clip.yaml, or the name of a file that is called otherwise."""
+    path = Path(clip)
+    return path.absolute().parent.name or path.stem if path.name == "clip.yaml" else path.stem
+
+
+def format_seen(times: Sequence[float] | None) -> str:
+    """When a vehicle was first and last seen, in seconds, for example ``0.0 to 2.6``."""
+    return NO_VALUE if times is None else " to ".join(format_number(time, 1) for time in times)
+
+
 def format_limit(limit: float, unit: str) -> str:
     """A posted ``limit`` (m/s) in ``unit``, for example ``30 mph``."""
     return f"{round(convert(limit, unit), 1):g} {unit}"
@@ -168,7 +180,7 @@ def speed_at(measurement: Measurement, row: int) -> tuple[float, float]:
 
 def distance_travelled(track: Track) -> float:
     """Metres along the tracked positions, NaN without two of them."""
-    return path_length(track.position[[status == "tracking" for status in track.status]])
+    return path_length(track.position[track.tracked])
 
 
 def path_length(points: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,6 +55,11 @@ class StereoStill:
     time: float
     left: bytes
     right: bytes
+
+
+def middle_still(stills: Sequence[StereoStill]) -> StereoStill:
+    """The still in which a vehicle is recognised: neither the farthest one nor one at the image's edge."""
+    return stills[len(stills) // 2]
 
 
 @dataclass

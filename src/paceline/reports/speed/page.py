@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +17,19 @@ from paceline.reports.common.formatting import (
     format_measurement,
     format_number,
     format_parts,
+    format_seen,
     format_uncertain,
     path_length,
+    recording_title,
     rejected_advice,
     speed_at,
 )
 from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
 from paceline.reports.speed.cameras import camera_rows
+from paceline.reports.speed.distribution import MANY_VEHICLES, Distribution, describe_distribution
 from paceline.reports.speed.overlay import StereoStill
+from paceline.reports.speed.vehicle_table import identifying_picture, section_anchor, vehicle_table
 from paceline.speed.results import ClipResult, Measurement
 from paceline.units import convert
 from paceline.verdicts import Message
@@ -46,12 +51,15 @@ def write_page(
     vehicles = [
         {
             "id": m.vehicle,
+            "anchor": section_anchor(i),
             "m": m,
             "text": (text := format_measurement(m, unit)),
             "parts": format_parts(m, unit),
             "compliance": format_compliance(m.compliance, m.limit, unit),
             "headline": _headline(m, text, unit),
             "assumed": _is_calibration_assumed(m),
+            "passage": _passage(m),
+            "picture": identifying_picture(stills[m.vehicle]),
             "color": colors[m.vehicle],
             "advice": rejected_advice(m.reason_code),
             "facts": _facts(m, unit),
@@ -59,14 +67,18 @@ def write_page(
             "plots": plots[m.vehicle],
             "rows": _rows(m, unit),
         }
-        for m in result.measurements
+        for i, m in enumerate(result.measurements)
     ]
+    is_survey = len(vehicles) > MANY_VEHICLES
     html = render(
         "speed/page.html.j2",
         result=result,
+        title=recording_title(result.clip),
         unit=unit,
         vehicles=vehicles,
         measured=sum(m.verdict == "measured" for m in result.measurements),
+        table=vehicle_table(result.measurements, stills, unit) if is_survey else None,
+        distribution=_distribution(result.measurements, unit),
         compliance=count_compliance(m.compliance for m in result.measurements),
         plan=plan,
         overlay=overlay,
@@ -77,6 +89,21 @@ def write_page(
         missing=NO_VALUE,
     )
     file.write_text(html, encoding="utf-8")
+
+
+def _passage(measurement: Measurement) -> str:
+    """Lane, direction and time of a vehicle in one line."""
+    period = format_seen(measurement.seen)
+    parts = (measurement.path, measurement.travel, None if period == NO_VALUE else f"{period} s")
+    return ", ".join(part for part in parts if part)
+
+
+def _distribution(measurements: Sequence[Measurement], unit: str) -> Distribution | None:
+    measured = [m for m in measurements if m.verdict == "measured"]
+    limits = {m.limit for m in measured}
+    return describe_distribution(
+        np.array([m.speed for m in measured]), unit, limits.pop() if len(limits) == 1 else None
+    )
 
 
 def _headline(measurement: Measurement, text: IntervalText, unit: str) -> str:
@@ -93,7 +120,7 @@ def _is_calibration_assumed(measurement: Measurement) -> bool:
 
 def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
     track = measurement.track
-    tracked = np.array([status == "tracking" for status in track.status], bool)
+    tracked = track.tracked
     seconds = float(np.ptp(track.time[tracked])) if tracked.any() else 0.0
     depth = track.position[tracked, 2]
     facts = [
