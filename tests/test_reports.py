@@ -188,7 +188,8 @@ def test_summary_is_exact(out: Path) -> None:
         "vehicle": "v0", "speed_mps": 20.1, "speed_lo_mps": 20.0, "speed_hi_mps": 20.2, "frames": 10,
         "verdict": "measured", "reason": "", "reason_code": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04,
         "calibrated_by": 0, "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2,
-        "corners_difference_mps": None, "corners_difference_std_mps": None, "path": "lane0", "direction": "with",
+        "corners_difference_mps": None, "corners_difference_std_mps": None, "interval_from": "fit",
+        "path": "lane0", "direction": "with",
         "travel": "approaching", "seen_from_s": 3.0, "seen_to_s": pytest.approx(5.0), "limit_mps": 18.0,
         "compliance": "over", "notices": [], "picture": "pictures/v0.jpg",
     }  # fmt: skip
@@ -381,6 +382,22 @@ def test_page_is_complete_and_self_contained(out: Path) -> None:
     assert {a for a in page.addresses if not a.startswith("data:")} == local
     assert "script" not in page.tags
     assert page.tags.count("img") == 3 * (1 + 3 * 2 + 3) + 1  # card, stills and plots of three vehicles, and the plan
+
+
+@pytest.mark.usefixtures("unrendered_plots")
+def test_the_report_of_a_baseline_claims_no_95_percent(result: ClipResult, tmp_path: Path) -> None:
+    of_baseline = replace(measured("v0"), systematic_std=NAN, notices=[message("baseline_interval")])
+    configuration = {"method": "sift"}
+    write_report(
+        replace(result, measurements=[of_baseline], configuration=configuration), Recording(), tmp_path / "out"
+    )
+    text = " ".join(Page((tmp_path / "out" / "report.html").read_text()).text.split())
+    assert "44.96 ± 0.22 mph, interval from scatter alone 44.74 to 45.18 mph" in text
+    assert "This is an interval from scatter alone" in text and "is no 95 % interval of the true speed" in text
+    assert "95 % interval" not in text.replace("no 95 % interval", "").replace("inside the 95 % interval", "")
+    assert "was measured by “sift”" in text and "particle filter" not in text
+    (vehicle,) = json.loads((tmp_path / "out" / "summary.json").read_text())["vehicles"]
+    assert (vehicle["verdict"], vehicle["interval_from"]) == ("measured", "scatter")
 
 
 def test_the_cameras_are_told_with_their_uncertainty_and_what_it_does_to_a_speed() -> None:

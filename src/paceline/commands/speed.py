@@ -43,7 +43,7 @@ def speed(
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Method: paceline, or one of the comparison methods."),
+        typer.Option(metavar="NAME", help="Method: paceline, zhu (the paper's filter as printed), or a baseline."),
     ] = None,
     device: Annotated[
         DeviceName | None, typer.Option(help="Device; auto uses a GPU if there is one.", show_default="cpu")
@@ -101,7 +101,7 @@ def speed(
         "parts": parts,
         "refine": refine,
         "background.seconds": learn,
-        "report.units": None if units is None else _unit(units),
+        "report.units": None if units is None else unit_named(units),
     }
     settings = _settings(config, {key: value for key, value in given.items() if value is not None})
     if tolerance is not None:
@@ -185,7 +185,8 @@ def _measure_live(
     return measure_live(document, out, configuration, quiet, detector)
 
 
-def _unit(text: str) -> SpeedUnit:
+def unit_named(text: str) -> SpeedUnit:
+    """The unit that the option --units names."""
     from paceline.units import parse_unit
 
     try:
@@ -254,6 +255,7 @@ def _print_result(result: ClipResult, unit: str) -> None:
         format_measurement,
         format_seen,
         format_verdict,
+        interval_title,
         rejected_advice,
     )
 
@@ -261,7 +263,7 @@ def _print_result(result: ClipResult, unit: str) -> None:
     columns = [
         ("vehicle", *(m.vehicle for m in result.measurements)),
         (f"speed, {unit}", *align_decimals([str(text) for text in texts])),
-        ("95 % interval", *align_decimals([text.ends for text in texts])),
+        (interval_title(m.interval_from for m in result.measurements), *align_decimals([text.ends for text in texts])),
     ]
     if any(m.limit is not None for m in result.measurements):
         columns.append(("limit", *(format_compliance(m.compliance, m.limit, unit) for m in result.measurements)))

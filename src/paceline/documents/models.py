@@ -321,6 +321,7 @@ class FollowModel(Document):
 
 
 M = TypeVar("M", bound=KnownKeys)
+B = TypeVar("B", bound=BaseModel)
 
 
 def read_document(model: type[M], path: Path) -> M:
@@ -337,6 +338,11 @@ def read_document(model: type[M], path: Path) -> M:
         raise UnusableInput(f"{path}: is not a text file") from error
     except (yaml.MarkedYAMLError, yaml.reader.ReaderError, ValueError, RecursionError) as error:
         raise UnusableInput(f"{path}: {_yaml_problem(error)}") from error
+    return checked_content(model, content, path)
+
+
+def checked_content(model: type[B], content: Any, path: Path) -> B:
+    """The ``content`` of the file at ``path`` as a ``model``; raises UnusableInput naming the key."""
     try:
         return model.model_validate(content, strict=True)
     except ValidationError as error:

@@ -21,7 +21,7 @@ MIN_TRAVEL_M = 1.0  # of a vehicle whose direction is told
 SUMMARY_COLUMNS = (
     "vehicle", "speed_mps", "speed_lo_mps", "speed_hi_mps", "frames", "verdict", "reason", "reason_code",
     "random_std_mps", "systematic_std_mps", "calibrated_by", "model", "acceleration_mps2", "residual_rms",
-    "corners_difference_mps", "corners_difference_std_mps", "path", "direction", "travel",
+    "corners_difference_mps", "corners_difference_std_mps", "interval_from", "path", "direction", "travel",
     "seen_from_s", "seen_to_s", "limit_mps", "compliance",
 )  # fmt: skip
 
@@ -125,6 +125,15 @@ class Measurement:
     limit: float | None = None  # m/s, the posted limit
 
     @property
+    def interval_from(self) -> str | None:
+        """What the interval comes from: ``fit``, that of the whole track with random and systematic part, ``filter``,
+        the filter's own spread, or ``scatter``, that of a baseline's values; None without an interval."""
+        if not np.isfinite([self.speed_lo, self.speed_hi]).all():
+            return None
+        codes = {notice.code for notice in self.notices if isinstance(notice, Message)}
+        return "scatter" if "baseline_interval" in codes else "filter" if "not_refined" in codes else "fit"
+
+    @property
     def seen(self) -> tuple[float, float] | None:
         """When it was first and last tracked, s; None where it was not."""
         times = self.track.time[self.track.tracked]
@@ -171,6 +180,7 @@ class Measurement:
             "residual_rms": self.residual_rms,
             "corners_difference_mps": self.corners_difference,
             "corners_difference_std_mps": self.corners_difference_std,
+            "interval_from": self.interval_from,
             "path": self.path,
             "direction": self.direction,
             "travel": self.travel,

@@ -25,7 +25,7 @@ from paceline.console.runs.results import (
     vehicle_rows,
 )
 from paceline.console.runs.run_queue import STATE_MEASURED, Run
-from paceline.reports.common.formatting import format_number
+from paceline.reports.common.formatting import format_number, interval_title
 
 VERDICT_TEMPLATE = """
 <q-td :props="props">
@@ -40,7 +40,7 @@ PICTURE_TEMPLATE = """
 TABLE_COLUMNS = [
     {"name": name, "label": label, "field": name, "align": "left"}
     for name, label in (
-        ("vehicle", "vehicle"), ("speed", "speed, {unit}"), ("interval", "95 % interval"), ("lane", "lane"),
+        ("vehicle", "vehicle"), ("speed", "speed, {unit}"), ("interval", "{interval}"), ("lane", "lane"),
         ("travel", "direction"), ("seen", "seen, s"), ("frames", "frames"), ("verdict", "verdict"),
         ("reason", "reason"),
     )
@@ -91,7 +91,8 @@ def show_speeds(
         )  # fmt: skip
         table.props("flat dense").classes("pl-table")
     if series:
-        ui.label(f"Speed over time, {unit}, with the 95 % interval").classes("pl-fact")
+        interval = interval_title(vehicle.get("interval_from") for vehicle in summary["vehicles"])
+        ui.label(f"Speed over time, {unit}, with the {interval}").classes("pl-fact")
         ui.echart(speed_chart(series, compared, unit)).classes("pl-chart")
 
 
@@ -101,7 +102,8 @@ def show_vehicle_table(run: Run, vehicles: list[dict[str, Any]], unit: str, max_
         ui.label(f"The last {max_rows} of {len(vehicles)} vehicles; the files hold all of them.").classes("pl-fact")
         vehicles = vehicles[-max_rows:]
     rows = vehicle_rows(vehicles, unit)
-    columns = [{**column, "label": column["label"].format(unit=unit)} for column in TABLE_COLUMNS]
+    interval = interval_title(vehicle.get("interval_from") for vehicle in vehicles)
+    columns = [{**column, "label": column["label"].format(unit=unit, interval=interval)} for column in TABLE_COLUMNS]
     if any(vehicle.get("limit_mps") is not None for vehicle in vehicles):
         columns.insert(3, LIMIT_COLUMN)
     if any(row["advice"] for row in rows):

@@ -15,6 +15,7 @@ from typing import Any
 from paceline.console.confinement import NotFound, file_below
 from paceline.errors import UnusableInput
 from paceline.reports.common.formatting import (
+    INTERVAL_LIMITATIONS,
     NO_VALUE,
     IntervalText,
     align_for_page,
@@ -200,7 +201,7 @@ def _vehicle_row(vehicle: dict[str, Any], speed: str, interval: str, limit: str)
         "seen": _format_seen(vehicle),
         "frames": str(vehicle.get("frames")),
         "verdict": str(vehicle.get("verdict")),
-        "reason": str(vehicle.get("reason") or ""),
+        "reason": str(vehicle.get("reason") or INTERVAL_LIMITATIONS.get(str(vehicle.get("interval_from")), "")),
         "advice": rejected_advice(str(vehicle.get("reason_code"))) if vehicle.get("verdict") == "rejected" else "",
     }
 

@@ -19,6 +19,8 @@ NO_VALUE = "–"
 SIGNIFICANT_DIGITS = 2  # of a ±
 FIGURE_SPACE, PUNCTUATION_SPACE = "\u2007", "\u2008"  # as wide as a digit, as a point
 
+# of an interval, by what it comes from; that of the fit of the whole track has none
+INTERVAL_LIMITATIONS = {"scatter": "interval from scatter alone", "filter": "interval from the filter's spread alone"}
 GENERAL_ADVICE = "Look at the overlay: the outline has to stay on the same part of the vehicle in both views."
 
 
@@ -124,8 +126,17 @@ def align_for_page(texts: Sequence[str]) -> list[str]:
 
 
 def format_verdict(measurement: Measurement) -> str:
-    """The verdict, with its reason where there is one."""
-    return f"{measurement.verdict}: {measurement.reason}" if measurement.reason else measurement.verdict
+    """The verdict, with its reason where there is one, or with what its interval does not hold."""
+    if measurement.reason:
+        return f"{measurement.verdict}: {measurement.reason}"
+    limitation = INTERVAL_LIMITATIONS.get(measurement.interval_from or "", "")
+    return f"{measurement.verdict}, {limitation}" if limitation else measurement.verdict
+
+
+def interval_title(sources: Iterable[str | None]) -> str:
+    """What intervals from these ``sources`` are called: 95 % is claimed only where one holds all known errors."""
+    known = {source for source in sources if source is not None}
+    return "95 % interval" if "fit" in known or not known else "interval"
 
 
 def recording_title(clip: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from paceline.reports.common.formatting import (
+    INTERVAL_LIMITATIONS,
     NO_VALUE,
     IntervalText,
     align_for_page,
@@ -19,6 +20,7 @@ from paceline.reports.common.formatting import (
     format_parts,
     format_seen,
     format_uncertain,
+    interval_title,
     path_length,
     recording_title,
     rejected_advice,
@@ -55,6 +57,7 @@ def write_page(
             "m": m,
             "text": (text := format_measurement(m, unit)),
             "parts": format_parts(m, unit),
+            "limitation": INTERVAL_LIMITATIONS.get(m.interval_from or "", ""),
             "compliance": format_compliance(m.compliance, m.limit, unit),
             "headline": _headline(m, text, unit),
             "assumed": _is_calibration_assumed(m),
@@ -73,6 +76,7 @@ def write_page(
     html = render(
         "speed/page.html.j2",
         result=result,
+        fitted=interval_title(m.interval_from for m in result.measurements) != "interval",
         title=recording_title(result.clip),
         unit=unit,
         vehicles=vehicles,
@@ -110,7 +114,8 @@ def _headline(measurement: Measurement, text: IntervalText, unit: str) -> str:
     """The result in one line."""
     if measurement.verdict != "measured":
         return f"Rejected: {measurement.reason}"
-    return f"{text} {unit}, 95 % interval {text.ends} {unit}"
+    title = INTERVAL_LIMITATIONS.get(measurement.interval_from or "", "95 % interval")
+    return f"{text} {unit}, {title} {text.ends} {unit}"
 
 
 def _is_calibration_assumed(measurement: Measurement) -> bool:

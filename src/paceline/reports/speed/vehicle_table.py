@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from paceline.reports.common.formatting import (
+    INTERVAL_LIMITATIONS,
     NO_VALUE,
     align_for_page,
     format_compliance,
     format_limit,
     format_measurement,
     format_seen,
+    interval_title,
 )
 from paceline.reports.common.sortable_table import Cell, Column, SortableTable, text_column
 from paceline.reports.speed.overlay import StereoStill, middle_still
@@ -32,14 +34,15 @@ def vehicle_table(
         Column("vehicle", "vehicle", names, range(len(names))),
         Column("picture", "picture", pictures),
         text_column("speed", f"speed, {unit}", speeds, known),
-        Column("interval", "95 % interval", [Cell(text) for text in ends]),
+        Column("interval", interval_title(m.interval_from for m in measurements), [Cell(text) for text in ends]),
         text_column("lane", "lane", [m.path or NO_VALUE for m in measurements]),
         text_column("direction", "direction", [m.travel or NO_VALUE for m in measurements]),
         text_column("seen", "seen, s", [format_seen(m.seen) for m in measurements], since),
         text_column("verdict", "verdict", [m.verdict for m in measurements]),
     ]
     columns[4:4] = limit_column([(m.compliance, m.limit) for m in measurements], unit)
-    return SortableTable(columns, [m.reason for m in measurements])
+    limitations = [INTERVAL_LIMITATIONS.get(m.interval_from or "", "") for m in measurements]
+    return SortableTable(columns, [m.reason or text for m, text in zip(measurements, limitations, strict=True)])
 
 
 def limit_column(compliance: Sequence[tuple[str | None, float | None]], unit: str) -> list[Column]:
