@@ -21,6 +21,7 @@ from paceline.documents.loading import Clip, load_clip
 from paceline.errors import UnusableInput
 from paceline.recordings.stereo import open_recording
 from paceline.reports import write_report
+from paceline.reports.common.formatting import format_verdict, interval_title
 from paceline.reports.speed.tables import ESTIMATE_COLUMNS
 from paceline.simulation.random_scenes.drawn import random_crossing
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, render, write
@@ -32,7 +33,7 @@ from paceline.speed.results import ClipResult, Measurement
 Image = NDArray[np.uint8]
 
 SPEED = 17.0  # m/s
-ALL = [name for name in method_names() if name != DEFAULT_METHOD]
+ALL = [name for name in method_names() if name not in (DEFAULT_METHOD, "zhu")]
 # share of the speed by which the mean may be off: a few times what each method errs by on such clips
 BOUND = {"sift": 0.04, "kalman": 0.6, "kalman-scatter": 0.05, "multimodal": 0.2, "lucas-kanade": 0.015}
 
@@ -224,6 +225,25 @@ def test_the_same_files_come_out(clip: Clip, tmp_path: Path, method: str) -> Non
     assert summary["configuration"]["method"] == method
     assert summary["vehicles"][0]["speed_mps"] == pytest.approx(found.measurements[0].speed)
     assert (tmp_path / "out" / "report.html").exists() and (tmp_path / "out" / "overlay.mp4").exists()
+
+
+def test_the_papers_filter_is_measured_as_printed(clip: Clip) -> None:
+    found = result(clip, "zhu", particles=150, seed=2)
+    settings = {"guided": False, "exact_path": True, "refine": False}
+    expected = result(clip, DEFAULT_METHOD, particles=150, seed=2, **settings).measurements[0]
+    (m,) = found.measurements
+    assert m.speed == expected.speed == pytest.approx(SPEED, rel=0.1)
+    assert found.configuration["method"] == "zhu" and found.configuration["particles"] == 150
+    assert {key: found.configuration[key] for key in settings} == settings
+    assert m.interval_from == "filter" and format_verdict(m) == "measured, interval from the filter's spread alone"
+
+
+def test_the_interval_of_a_baseline_is_called_what_it_is(clip: Clip) -> None:
+    m = measured(clip, "sift")
+    assert (m.verdict, m.interval_from) == ("measured", "scatter")
+    assert format_verdict(m) == "measured, interval from scatter alone"
+    assert interval_title([m.interval_from, None]) == "interval"
+    assert interval_title(["fit", None]) == interval_title([None]) == "95 % interval"
 
 
 def test_progress_is_reported(clip: Clip) -> None:

@@ -84,6 +84,26 @@ def test_options_reach_the_configuration(clip: Path, tmp_path: Path) -> None:
         assert {row["refined_speed_mps"] for row in csv.DictReader(stream)} == {""}
 
 
+def test_a_limit_is_judged_by_the_interval(small_clip: Path, tmp_path: Path) -> None:
+    """Stated by the clip for its path, and by the command line, which wins."""
+    document = yaml.safe_load(small_clip.read_text())
+    document["paths"]["lane0"]["limit"] = "30 m/s"
+    stated = small_clip.with_name("stated.yaml")
+    stated.write_text(yaml.safe_dump(document))
+    for options, shown, compliance in (
+        ([], "within 108 km/h", "within"),
+        (["--limit", "20 mph"], "over 32.2 km/h", "over"),
+    ):
+        done = paceline("speed", stated, "-o", tmp_path, "--method", "sift", "--units", "km/h", *options)
+        assert done.returncode == 0, done.stderr
+        header, row, *_ = done.stdout.splitlines()
+        assert row[header.index("limit") :].startswith(shown)
+        (vehicle,) = json.loads((tmp_path / "summary.json").read_text())["vehicles"]
+        assert vehicle["compliance"] == compliance
+        assert shown in (tmp_path / "report.html").read_text()
+    assert vehicle["limit_mps"] == pytest.approx(20 * 0.44704)
+
+
 def test_nothing_measured_is_status_1_with_the_reason(clip: Path, tmp_path: Path) -> None:
     """A vehicle first outlined in the last frame cannot be measured; the outputs say so."""
     document = yaml.safe_load(clip.read_text())
@@ -257,6 +277,7 @@ def test_a_clip_with_an_unknown_key(clip: Path, tmp_path: Path) -> None:
         (["speed", "c", "-o", "o", "--seed", "-1"], ["--seed -1", "expected greater"]),
         (["speed", "c", "-o", "o", "--feature-parts", "0"], ["--feature-parts 0", "expected"]),
         (["speed", "c", "-o", "o", "--max-half-width", "0", "--units", "km/h"], ["--max-half-width 0", "km/h above 0"]),
+        (["speed", "c", "-o", "o", "--limit", "30"], ["--limit", "expected a speed with its unit, such as 30 mph"]),
         (["speed", "c", "-o", "o", "--motion", "zigzag"], ["--motion", "zigzag", "auto"]),
         (["speed", "c", "-o", "o", "--device", "tpu"], ["--device", "cpu"]),
         (["speed", "c", "-o", "o", "--device", "cuda", "--method", "sift"], ["--device cuda", "use --device cpu"]),
@@ -283,6 +304,7 @@ def test_version_and_help() -> None:
         "--feature-parts",
         "--no-refine",
         "--max-half-width",
+        "--limit",
     ):
         assert option in done.stdout
 

@@ -20,7 +20,7 @@ from console_served import CTRL, SHIFT, Console, consoled, halted, needs_chromiu
 from run_command import assert_one_line_error, paceline
 from tiny_clips import put_clip, rendered
 
-from paceline.reports.common.formatting import format_speed_number
+from paceline.reports.common.formatting import format_speed, format_speed_number
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +99,8 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     tab.wait(f"{tolerance}?.offsetHeight > 0")
     tab.run(f"{tolerance}.focus()")
     tab.call("Input.insertText", text="5")
+    tab.run("document.querySelector('input[aria-label=\"Speed limit\"]').focus()")
+    tab.call("Input.insertText", text="30 mph")
     tab.click("Start")
     other.wait_for("Cancel")  # every tab sees it
     with halted(root / "north", lambda: "Close-up of v0" in other.text()):
@@ -124,10 +126,11 @@ def test_from_import_to_report(recording: Path, console: Console) -> None:
     assert summary["configuration"]["tolerance"] == pytest.approx(5 * 0.44704, rel=1e-3)
     (entry,) = summary["vehicles"]
     assert entry["verdict"] == "measured" and entry["speed_mps"] == pytest.approx(18.0, abs=0.5)
-    assert (
-        format_speed_number(entry["speed_mps"], "mph", (entry["speed_hi_mps"] - entry["speed_lo_mps"]) / 2)
-        in tab.text()
-    )
+    tab.wait("[...document.querySelectorAll('.pl-thumbnail')].some((i) => i.naturalWidth > 0)")
+    assert "approaching" in tab.text() and "lane0" in tab.text() and "Every vehicle (CSV)" in tab.text()
+    assert entry["compliance"] == "over" and "over 30 mph" in tab.text()
+    text = format_speed(*(entry[key] for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps")), "mph")
+    assert str(text) in tab.text() and text.ends in tab.text()
     tab.wait("document.querySelectorAll('.pl-chart canvas').length > 0")
     report = tab.run("[...document.links].find((a) => a.innerText === 'Open the report').href")
     tab.open(report)

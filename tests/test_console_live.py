@@ -153,6 +153,9 @@ def test_only_known_settings_reach_a_live_run() -> None:
         "12.5",
     ]
     assert command_options(LIVE_RUN, {"tolerance": 0.5}) == ["--max-half-width", "0.5"]
+    assert command_options(LIVE_RUN, {"limit": " 30 mph "}) == ["--limit", "30 mph"]
+    with pytest.raises(UnusableInput, match="limit: expected a speed with its unit"):
+        command_options(LIVE_RUN, {"limit": "30"})
     for tolerance in (0, -1, "1", float("nan")):
         with pytest.raises(UnusableInput):
             command_options(LIVE_RUN, {"tolerance": tolerance})

@@ -337,6 +337,7 @@ def test_a_read_only_folder_can_be_viewed(tmp_path: Path) -> None:
     record = {"clip": "road", "number": 1, "kind": "speed", "options": [], "state": "measured", "created": 1.0}
     (out.parent / "run.json").write_text(json.dumps(record))
     vehicle = {"vehicle": "v0", "speed_mps": 18.0, "speed_lo_mps": 17.9, "speed_hi_mps": 18.1, "frames": 5}
+    vehicle["interval_from"] = "scatter"
     summary = {"vehicles": [{**vehicle, "verdict": "measured", "reason": ""}], "notices": []}
     (out / "summary.json").write_text(json.dumps(summary))
     (out / "estimates.csv").write_text("vehicle,time_s,speed_mps,speed_std_mps,refined_speed_mps,refined_std_mps\n")
@@ -356,7 +357,8 @@ def test_a_read_only_folder_can_be_viewed(tmp_path: Path) -> None:
             tab.run(f"{EDITOR}.model.change((m) => {{ m.vehicles[0].speed = 9; }})")
             assert "speed" not in setup_of(tab)[1][0]
             tab.open(f"{address}/runs?clip=road")
-            tab.wait_for("40.3 ± 0.2")
+            tab.wait_for("40.26 ± 0.22")
+            assert "interval from scatter alone" in tab.text() and "95 %" not in tab.text()
             assert "Start" not in tab.text().split("\n")
             for method, where, body in (("POST", "run", {"kind": "speed"}), ("POST", "import", {"name": "x"}),
                                         ("PUT", "setup", {}), ("PUT", "target", {}), ("PUT", "rig", {})):  # fmt: skip

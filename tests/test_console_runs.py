@@ -110,6 +110,7 @@ def test_runs_are_queued_read_and_cancelled(library: Library) -> None:
     assert row["vehicle"] == "v0" and row["verdict"] == "measured" and row["speed"].startswith("6")
     (series,) = read_series(out)
     assert series.refined and series.time[0] == 0 and series.value[-1] == pytest.approx(18.0, abs=0.5)
+    vehicle |= {"speed_lo_mps": vehicle["speed_mps"] - 0.1, "speed_hi_mps": vehicle["speed_mps"] + 0.1}
     faster = vehicle | {"speed_mps": vehicle["speed_mps"] + 0.25}
     assert [r["change"] for r in compare_summaries([vehicle], [faster], "m/s")] == ["+0.25"]
     assert [r["change"] for r in compare_summaries([faster], [vehicle], "km/h")] == ["−0.90"]
@@ -260,6 +261,10 @@ def test_the_folder_itself_may_be_a_clip(tmp_path: Path) -> None:
     clip = put_clip(tmp_path.resolve())
     library = Library(clip)
     assert library.names() == ["."] and library.entry(".").state == "ready"
+    run = library.runs.start(".", "speed", [])
+    copy = library.runs.input_document(run)
+    assert (copy.parent.name, load_clip(copy).left) == (clip.name, clip / "left")  # a report is titled by its folder
+    library.runs.cancel(".", run.number)
     library.runs.close()
 
 

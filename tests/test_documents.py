@@ -272,7 +272,11 @@ ORDER = "top-left, top-right, bottom-right, bottom-left as seen in the image"
         ("times", "times.csv", "rate and times: expected one of them, found both"),
         ("ratte", 5, "unknown key 'ratte'; did you mean 'rate'?"),
         ("zzz", 5, "unknown key 'zzz'; expected one of left, right, rate, times, time_tolerance, bit_depth, "
-                   "synchronised, offset, drawn_on, rig, site, paths, vehicles"),
+                   "synchronised, offset, drawn_on, limit, rig, site, paths, vehicles"),
+        ("limit", 30, "limit: expected a speed with its unit, such as 30 mph, found 30"),
+        ("limit", "30", "limit: expected a speed with its unit, such as 30 mph, found '30'"),
+        ("limit", "30 knots", "limit: unknown unit 'knots'; expected mph, km/h, m/s"),
+        ("paths.lane0.limit", "0 mph", "paths.lane0.limit: expected a speed above 0 and up to 150 m/s, found '0 mph'"),
         ("rig", None, "rig: missing"),
         ("bit_depth", 20, "bit_depth: expected at most 16, found 20"),
         ("time_tolerance", 0, "time_tolerance: expected a number above 0"),

@@ -31,7 +31,10 @@ GROUND = {
 BASE = GROUND | {"geometry", "recordings", "path_following"}
 READ = BASE | {"documents"}
 SEEN = READ | {"imaging"}
-MADE = {"speed", "calibration", "targets", "follow", "lanes", "baselines", "detection", "simulation", "survey"}
+MADE = {
+    "speed", "calibration", "targets", "follow", "lanes", "baselines", "verification", "detection", "simulation",
+    "survey",
+}  # fmt: skip
 MAY_IMPORT = {
     **{room: GROUND for room in GROUND},
     "geometry": GROUND,
@@ -45,6 +48,7 @@ MAY_IMPORT = {
     "follow": READ | {"targets"},
     "lanes": READ | {"speed"},
     "baselines": READ | {"speed"},
+    "verification": READ | {"speed"},
     "detection": SEEN | {"lanes", "speed"},
     "simulation": READ,
     "simulation.closed_loop": READ | {"follow", "targets"},

@@ -278,6 +278,7 @@ def test_a_clip_takes_rig_and_paths_from_its_site(clip: Path, tmp_path: Path) ->
     found = load_clip(file)
     assert list(found.paths) == ["mine", "lane1"]
     assert found.rig.baseline == pytest.approx(make_rig().baseline)
+    assert (found.limit, found.limit_on("mine")) == (None, None)
     for text, complaint in [
         ("left: a\nright: b\nrig: rig.yaml\nsite: sites/site.yaml\n", "rig and site: expected one of them"),
         ("left: a\nright: b\n", "rig: missing"),
@@ -287,3 +288,20 @@ def test_a_clip_takes_rig_and_paths_from_its_site(clip: Path, tmp_path: Path) ->
         file.write_text(text)
         with pytest.raises(UnusableInput, match=complaint):
             load_clip(file)
+
+
+def test_the_limit_of_the_command_wins_over_a_paths_and_that_over_the_clips_and_the_sites(
+    clip: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "rig.yaml").symlink_to(clip / "rig.yaml")
+    lane = site_yaml("rig.yaml", {"lane1": LANE, "lane2": LANE})
+    (tmp_path / "site.yaml").write_text(f"limit: 10 m/s\n{lane}    limit: 20 m/s\n")
+    file = tmp_path / "clip.yaml"
+    file.write_text("left: a\nright: b\nsite: site.yaml\n" + OWN)
+    limits = [load_clip(file).limit_on(path) for path in ("mine", "lane1", "lane2", None)]
+    assert limits == [10.0, 10.0, 20.0, 10.0]
+    file.write_text("left: a\nright: b\nlimit: 54 km/h\nsite: site.yaml\n" + OWN)
+    limits = [load_clip(file).limit_on(path) for path in ("mine", "lane1", "lane2", None)]
+    assert limits == [15.0, 15.0, 20.0, 15.0]
+    limits = [load_clip(file).with_limit(25.0).limit_on(path) for path in ("mine", "lane2", None)]
+    assert limits == [25.0, 25.0, 25.0]

@@ -28,14 +28,18 @@ from paceline.errors import UnusableInput
 from paceline.recordings.stereo import StereoFrame
 from paceline.reports import OutputFolder, write_report
 from paceline.reports.common.formatting import (
+    align_decimals,
+    align_for_page,
     format_interval,
-    format_speed,
-    format_speed_number,
+    format_measurement,
+    format_parts,
+    format_uncertain,
     rejected_advice,
     speed_at,
 )
 from paceline.reports.common.video import VideoWriter
 from paceline.reports.speed.cameras import camera_rows
+from paceline.reports.speed.overlay import format_label
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.units import COVERAGE_95
 from paceline.verdicts import message
@@ -92,7 +96,8 @@ def track(vehicle: str, first: int = 0, refined: bool = True) -> Track:
 def measured(vehicle: str) -> Measurement:
     return Measurement(
         vehicle, track(vehicle), speed=20.1, speed_lo=20.0, speed_hi=20.2, random_std=0.03, systematic_std=0.04,
-        frames=10, verdict="measured", reason="", model="constant speed", residual_rms=3.2,
+        frames=10, verdict="measured", reason="", model="constant speed", residual_rms=3.2, path="lane0",
+        direction="with", limit=18.0,
     )  # fmt: skip
 
 
@@ -119,7 +124,7 @@ def clip_result() -> ClipResult:
     pixels[0] = NAN  # a point behind the camera has no picture
     return ClipResult(
         clip="road/clip.yaml",
-        measurements=[measured("v0"), measured("v1"), rejected("v2")],
+        measurements=[measured("v0"), replace(measured("v1"), limit=20.15), rejected("v2")],
         paths=[PathDrawing("lane0", line, pixels, pixels)],
         configuration={"particles": 400, "refine": True, "noise": {"speed": 0.5, "limit": float("inf")}},
         versions={"paceline": "0.1.0"},
@@ -143,8 +148,10 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_files(out: Path) -> None:
     names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
+    pictures = [f"pictures/{v}.jpg" for v in ("v0", "v1", "v2")]
     plots = [f"plots/{v}-{kind}.png" for v in ("v0", "v1", "v2") for kind in ("depth", "particles", "speed")]
-    assert names == sorted(["estimates.csv", "summary.json", "report.html", "overlay.mp4", "plots/plan.png", *plots])
+    tables = ["estimates.csv", "vehicles.csv", "summary.json"]
+    assert names == sorted([*tables, "report.html", "overlay.mp4", "plots/plan.png", *plots, *pictures])
     assert sorted(p.name for p in out.parent.iterdir()) == ["out"]
 
 
@@ -181,25 +188,85 @@ def test_summary_is_exact(out: Path) -> None:
         "vehicle": "v0", "speed_mps": 20.1, "speed_lo_mps": 20.0, "speed_hi_mps": 20.2, "frames": 10,
         "verdict": "measured", "reason": "", "reason_code": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04,
         "calibrated_by": 0, "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2,
-        "corners_difference_mps": None, "corners_difference_std_mps": None, "notices": [],
+        "corners_difference_mps": None, "corners_difference_std_mps": None, "interval_from": "fit",
+        "path": "lane0", "direction": "with",
+        "travel": "approaching", "seen_from_s": 3.0, "seen_to_s": pytest.approx(5.0), "limit_mps": 18.0,
+        "compliance": "over", "notices": [], "picture": "pictures/v0.jpg",
     }  # fmt: skip
     assert last["verdict"] == "rejected" and last["reason"].startswith("too few frames")
-    assert last["reason_code"] == "seen_briefly"
+    assert last["reason_code"] == "seen_briefly" and last["compliance"] is None
     assert last["speed_mps"] is None and last["speed_lo_mps"] is None
     assert summary["configuration"] == {"particles": 400, "refine": True, "noise": {"speed": 0.5, "limit": None}}
     assert summary["versions"] == {"paceline": "0.1.0"}
     assert summary["notices"] == ["frame 4 repeats frame 3"]
+    with (out / "vehicles.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for row, vehicle in zip(rows, summary["vehicles"], strict=True):
+        assert row == {k: "" if v is None else str(v) for k, v in vehicle.items() if k != "notices"}
 
 
 def test_random_and_systematic_parts_add_up() -> None:
-    words = format_speed(measured("v"), "m/s")
-    assert (words.speed, words.lo, words.hi, words.plus_minus) == ("20.1", "20.0", "20.2", "0.1")
+    text = format_measurement(measured("v"), "m/s")
+    assert (str(text), text.ends) == ("20.10 ± 0.10", "20.00 to 20.20")
     # 0.03 and 0.04 make 0.05; the interval's half width of 0.1 is twice that.
-    assert (words.random, words.systematic) == ("0.06", "0.08")
-    assert format_speed_number(20.123, "m/s", 0.04) == "20.12"
-    assert format_interval(20.123, 0.04, "m/s") == "20.12 ± 0.04"
-    assert format_interval(20.123, NAN, "km/h") == "72.4 ± –"
-    assert format_speed(replace(measured("v"), systematic_std=NAN), "mph").systematic == "–"
+    assert format_parts(measured("v"), "m/s") == ("0.06", "0.08")
+    assert format_parts(replace(measured("v"), systematic_std=NAN), "mph")[1] == "–"
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "shown", "ends"),
+    [
+        (31.124, 0.134, "31.12 ± 0.13", "30.99 to 31.25"),  # the upper end alone would be 31.26
+        (45.0, 0.0412, "45.000 ± 0.041", "44.959 to 45.041"),
+        (44.95, 0.0996, "44.95 ± 0.10", "44.85 to 45.05"),
+        (8.04, 1.26, "8.0 ± 1.3", "6.7 to 9.3"),
+        (72.4, 12.4, "72 ± 12", "60 to 84"),
+        (-0.02, 0.4, "−0.02 ± 0.40", "−0.42 to 0.38"),
+        (20.123, NAN, "20.1 ± –", "–"),
+        (NAN, NAN, "–", "–"),
+    ],
+)
+def test_numbers_have_the_decimals_of_their_uncertainty_and_add_up(
+    value: float, half: float, shown: str, ends: str
+) -> None:
+    text = format_interval(value, value - half, value + half)
+    assert (str(text), text.ends) == (shown, ends)
+    assert format_uncertain(value, half) == shown
+
+
+def test_an_interval_that_is_not_symmetric_keeps_its_ends() -> None:
+    text = format_interval(20.0, 19.4, 21.0)
+    assert (str(text), text.ends) == ("20.00 ± 0.80", "19.40 to 21.00")
+
+
+def test_columns_are_aligned_at_the_decimal_point() -> None:
+    assert align_decimals(["44.985 ± 0.086", "–", "8.0 ± 1.3", "104 ± 12"]) == [
+        " 44.985 ±  0.086",
+        "  –    ",
+        "  8.0   ±  1.3  ",
+        "104     ± 12    ",
+    ]
+    assert align_for_page(["1.5", "12"]) == ["\u20071.5", "12\u2008\u2007"]
+    assert align_decimals([]) == []
+
+
+@pytest.mark.parametrize(
+    ("limit", "compliance", "shown"),
+    [
+        (20.2, "within", "v0  44.96 ± 0.22 mph, within 45.2 mph"),
+        (20.1999, "undecided", "v0  44.96 ± 0.22 mph, undecided at 45.2 mph"),
+        (20.0, "undecided", "v0  44.96 ± 0.22 mph, undecided at 44.7 mph"),
+        (30 * 0.44704, "over", "v0  44.96 ± 0.22 mph, over 30 mph"),
+        (None, None, "v0  44.96 ± 0.22 mph"),
+    ],
+)
+def test_a_limit_is_kept_exceeded_or_neither_is_sure(limit: float | None, compliance: str | None, shown: str) -> None:
+    vehicle = replace(measured("v0"), limit=limit)
+    assert vehicle.compliance == compliance
+    assert format_label(vehicle, "tracking", "mph") == shown
+    assert format_label(vehicle, "lost", "mph") == "v0  lost"
+    unknown = replace(rejected("v2"), limit=limit)
+    assert unknown.compliance is None and format_label(unknown, "tracking", "mph") == "v2  rejected"
 
 
 def test_the_speed_of_a_frame_has_the_coverage_factor_of_the_mean() -> None:
@@ -215,6 +282,8 @@ def test_without_an_overlay_the_report_has_its_stills_and_no_link(out: Path, tmp
     page, with_video = ((folder / "report.html").read_text(encoding="utf-8") for folder in (tmp_path / "out", out))
     assert "overlay.mp4" in with_video and "overlay.mp4" not in page and "overlay video" not in page
     assert page.count('src="data:image/jpeg') == with_video.count('src="data:image/jpeg') > 0
+    jpeg = base64.b64encode((out / "pictures" / "v1.jpg").read_bytes()).decode()
+    assert page.count(jpeg) >= 2  # on the card and among the stills
 
 
 def test_overlay_plays_with_the_recordings_times(out: Path) -> None:
@@ -296,27 +365,47 @@ class Page(HTMLParser):
 def test_page_is_complete_and_self_contained(out: Path) -> None:
     page = Page((out / "report.html").read_text())
     text = " ".join(page.text.split())
-    assert "45.0 mph, 95 % interval 44.7 to 45.2 mph" in text
+    assert page.text.strip().startswith("Speeds in road") and "Paceline speed report road road/clip.yaml" in text
+    assert "lane0, approaching, 3.0 to 5.0 s" in text and "approaching, 3.6 to 5.0 s" in text
+    assert "44.96 ± 0.22 mph, 95 % interval 44.74 to 45.18 mph" in text
     assert "Rejected: too few frames (7 of at least 8)" in text
     assert "Advice:" in text and "for longer" in text
     for part in ("± 0.13 random ± 0.18 systematic", "frame 4 repeats frame 3", "left the picture at frame 11"):
         assert part in text
+    assert "0 within the limit, 1 over it, 1 undecided, as the limit lies inside the 95 % interval." in text
+    assert "over 40.3 mph" in text and "undecided at 45.1 mph" in text
     for part in ("How it was measured", "What the interval means", "noise.speed", "paceline 0.1.0", "Path lane0"):
         assert part in text
     for cells in camera_rows(CAMERAS):
         assert "".join(cells) in text
-    local = {"overlay.mp4", "estimates.csv", "summary.json"}
+    local = {"overlay.mp4", "vehicles.csv", "estimates.csv", "summary.json"}
     assert {a for a in page.addresses if not a.startswith("data:")} == local
     assert "script" not in page.tags
-    assert page.tags.count("img") == 3 * (3 * 2 + 3) + 1  # stills and plots of three vehicles, and the plan
+    assert page.tags.count("img") == 3 * (1 + 3 * 2 + 3) + 1  # card, stills and plots of three vehicles, and the plan
+
+
+@pytest.mark.usefixtures("unrendered_plots")
+def test_the_report_of_a_baseline_claims_no_95_percent(result: ClipResult, tmp_path: Path) -> None:
+    of_baseline = replace(measured("v0"), systematic_std=NAN, notices=[message("baseline_interval")])
+    configuration = {"method": "sift"}
+    write_report(
+        replace(result, measurements=[of_baseline], configuration=configuration), Recording(), tmp_path / "out"
+    )
+    text = " ".join(Page((tmp_path / "out" / "report.html").read_text()).text.split())
+    assert "44.96 ± 0.22 mph, interval from scatter alone 44.74 to 45.18 mph" in text
+    assert "This is an interval from scatter alone" in text and "is no 95 % interval of the true speed" in text
+    assert "95 % interval" not in text.replace("no 95 % interval", "").replace("inside the 95 % interval", "")
+    assert "was measured by “sift”" in text and "particle filter" not in text
+    (vehicle,) = json.loads((tmp_path / "out" / "summary.json").read_text())["vehicles"]
+    assert (vehicle["verdict"], vehicle["interval_from"]) == ("measured", "scatter")
 
 
 def test_the_cameras_are_told_with_their_uncertainty_and_what_it_does_to_a_speed() -> None:
     assert camera_rows(CAMERAS) == [
         ("the right camera exposes later by", "8.00 ± 0.98 ms", "estimated", "0.39 %"),
-        ("the left camera reads its rows within", "0.00 ± 9.80 ms", "assumed", "0.20 %"),
+        ("the left camera reads its rows within", "0.0 ± 9.8 ms", "assumed", "0.20 %"),
         ("the left camera turns, RMS", "0.40 px", "estimated", "–"),
-        ("static points are off their epipolar lines, RMS", "0.30 ± 0.10 px", "estimated", "–"),
+        ("static points are off their epipolar lines, RMS", "0.300 ± 0.098 px", "estimated", "–"),
         ("the calibration’s uncertainty", "–", "assumed", "the systematic part of each speed"),
     ]
     assert camera_rows({}) == camera_rows({"epipolar_px": None, "assumed": []}) == []
@@ -383,7 +472,7 @@ def browse(page: Path, folder: Path, width: int = 1280) -> tuple[str, Path, set[
 def test_page_in_a_browser(out: Path, tmp_path: Path, width: int) -> None:
     """The page renders, shows its numbers and asks the network for nothing."""
     text, shot, asked = browse(out / "report.html", tmp_path, width)
-    assert "45.0 mph" in text and "44.7 to 45.2" in text
+    assert "44.96 ± 0.22 mph" in text and "44.74 to 45.18" in text and "over 40.3 mph" in text
     pixels = cv2.imread(str(shot))
     assert pixels is not None and pixels.shape == (1400, width, 3) and pixels.std() > 10
     assert not asked

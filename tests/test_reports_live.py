@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import csv
 import html
 import json
 import re
@@ -53,11 +54,13 @@ def test_the_live_report_lists_every_vehicle(tmp_path: Path) -> None:
     text = " ".join(html.unescape(re.sub(r"<style>.*?</style>|<[^>]*>", " ", page, flags=re.S)).split())
     words = ("1 of 2 vehicles measured", "1 more was seen, but could not be measured", "3 frames were dropped",
              "Seen: 2026-05-04, 10:03:00 to 10:05:00", "64 m ahead, 1.5 m left", "10.0 to 14.0",
-             "road/<i>clip</i>.yaml", "not measured: <b>too small</b>")  # fmt: skip
+             "road/<i>clip</i>.yaml", "not measured 64 m ahead",
+             "<b>too small</b>. Correct what the message names.")  # fmt: skip
     for word in words:
         assert word in text, word
     first, second = passed(0), passed(1, rejected("v"))
-    assert f"{first.speed / 0.44704:.1f} ±" in text and f"rejected: {second.reason}" in text
+    assert f"{first.speed / 0.44704:.2f} ± 0.22" in text and f"rejected 64 m ahead, 1.5 m left {second.reason}." in text
+    assert "limit 40.3 mph" in text and "0 within the limit, 1 over it." in text
     assert "<b>" not in page and "<i>" not in page and "://" not in re.sub(r"data:[^\"]*", "", page)
     pictures = re.findall(r'data:image/jpeg;base64,([^"]+)"', page)
     assert [base64.b64decode(p) for p in pictures] == [
@@ -69,6 +72,12 @@ def test_the_live_report_lists_every_vehicle(tmp_path: Path) -> None:
     assert summary["unmeasured"][0]["reason_code"] == "input_unusable"
     assert [v["reason_code"] for v in summary["vehicles"]] == ["", second.reason_code]
     assert rejected_advice(second.reason_code) in text and advice_for("input_unusable") in text
+    with (tmp_path / "out" / "vehicles.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for row, vehicle in zip(rows, summary["vehicles"], strict=True):
+        scalars = {key: value for key, value in vehicle.items() if not isinstance(value, list)}
+        assert row == {key: "" if value is None else str(value) for key, value in scalars.items()}
+    assert (rows[0]["path"], rows[0]["travel"], rows[0]["picture"]) == ("lane0", "approaching", "pictures/v0.jpg")
     assert summary["unmeasured"][0]["seen_from_s"] == 20.0 and summary["notices"] == ["3 frames were dropped"]
 
 

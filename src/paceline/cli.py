@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from paceline.commands.calibrate import calibrate
+from paceline.commands.compare import compare
 from paceline.commands.console import console
 from paceline.commands.drive import drive
 from paceline.commands.follow import follow_vehicle
@@ -37,6 +38,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.command(cls=accepting(OLD_OPTIONS))(speed)
+app.command()(compare)
 app.command("follow")(follow_vehicle)
 app.command()(calibrate)
 app.command(cls=accepting({"--write": "--in-place"}))(lanes)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from typing import overload
 
 from paceline.arrays import Array
 
 MPS_PER_MPH, MPS_PER_KMH = 0.44704, 1 / 3.6  # exact by definition
+MAX_STATED_SPEED_MPS = 150.0
+SPEED_WITH_UNIT = re.compile(r"(\d+(?:\.\d+)?)\s*([a-z/]+)", re.IGNORECASE)
 COVERAGE_95 = 1.959963984540054  # standard deviations on each side of the 95 % interval of a normal distribution
 
 
@@ -28,6 +31,17 @@ def parse_unit(text: str) -> SpeedUnit:
         return SpeedUnit(text.strip().lower())
     except ValueError:
         raise ValueError(f"unknown unit {text!r}; expected {', '.join(SpeedUnit)}") from None
+
+
+def parse_speed(text: str) -> float:
+    """The speed in m/s that ``text`` states with its unit, such as ``30 mph``; raises ValueError for anything else."""
+    found = SPEED_WITH_UNIT.fullmatch(text.strip())
+    if found is None:
+        raise ValueError(f"expected a speed with its unit, such as 30 mph, found {text!r}")
+    speed = float(found[1]) * parse_unit(found[2]).mps
+    if not 0 < speed <= MAX_STATED_SPEED_MPS:
+        raise ValueError(f"expected a speed above 0 and up to {MAX_STATED_SPEED_MPS:g} m/s, found {text!r}")
+    return speed
 
 
 @overload

@@ -43,7 +43,7 @@ def speed(
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Method: paceline, or one of the comparison methods."),
+        typer.Option(metavar="NAME", help="Method: paceline, zhu (the paper's filter as printed), or a baseline."),
     ] = None,
     device: Annotated[
         DeviceName | None, typer.Option(help="Device; auto uses a GPU if there is one.", show_default="cpu")
@@ -61,6 +61,10 @@ def speed(
     ] = None,
     parts: Annotated[
         int | None, typer.Option("--feature-parts", help="Number of parts of the plane in which features are compared.")
+    ] = None,
+    limit: Annotated[
+        str | None,
+        typer.Option(metavar="SPEED", help="Posted limit with its unit, such as '30 mph', in place of the files'."),
     ] = None,
     refine: Annotated[
         bool | None,
@@ -97,25 +101,32 @@ def speed(
         "parts": parts,
         "refine": refine,
         "background.seconds": learn,
-        "report.units": None if units is None else _unit(units),
+        "report.units": None if units is None else unit_named(units),
     }
     settings = _settings(config, {key: value for key, value in given.items() if value is not None})
     if tolerance is not None:
         settings = settings.model_copy(update={"tolerance": _tolerance(tolerance, settings.report.units)})
     detector = detector_of(config, settings) if detector is None else detector
+    limit_mps = None if limit is None else _limit(limit)
     if live:
-        return _measure_live(clip, out, settings, quiet, detector, learn is not None)
+        return _measure_live(clip, out, settings, quiet, detector, learn is not None, limit_mps)
     if learn is not None:
         raise UnusableInput("--background-seconds: goes with --live only")
-    result = _measure(clip, out, settings, quiet, detector)
+    result = _measure(clip, out, settings, quiet, detector, limit_mps)
     if not quiet:
+        from paceline.reports.speed.tables import PICTURES_FOLDER
+
         _print_result(result, settings.report.units)
         print(f"\nReport: {out / 'report.html'}")
+        if (out / PICTURES_FOLDER).is_dir():
+            print(f"Pictures of the vehicles: {out / PICTURES_FOLDER}")
     return EXIT_DONE if any(m.verdict == "measured" for m in result.measurements) else EXIT_NOTHING_MEASURED
 
 
-def _measure(clip: Path, out: Path, settings: SpeedSettings, quiet: bool, detector: Path | None) -> ClipResult:
-    """Measures a recording and writes the results."""
+def _measure(
+    clip: Path, out: Path, settings: SpeedSettings, quiet: bool, detector: Path | None, limit: float | None
+) -> ClipResult:
+    """Measures a recording and writes the results; ``limit`` in m/s, or None for that of the files."""
     import paceline.baselines.registry  # noqa: F401  makes the baselines known
     from paceline.detection.onnx_detector import OnnxDetector
     from paceline.documents.loading import load_clip
@@ -126,6 +137,7 @@ def _measure(clip: Path, out: Path, settings: SpeedSettings, quiet: bool, detect
 
     method_named(settings.method, settings.device)
     document = load_clip(file_named(clip, "clip.yaml"))
+    document = document if limit is None else document.with_limit(limit)
     if detector is not None and document.vehicles:
         raise UnusableInput(f"{document.path}: vehicles: --detector is to find them; expected none")
     with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is reported at once
@@ -150,12 +162,15 @@ def _measure_live(
     quiet: bool,
     detector: Path | None,
     background_given: bool,
+    limit: float | None,
 ) -> int:
-    """Measures what two cameras record; the exit status. ``background_given``: whether an option sets its time."""
+    """Measures what two cameras record; the exit status. ``background_given``: whether an option sets its time;
+    ``limit`` as in `_measure`."""
     from paceline.commands.speed_live import measure_live
     from paceline.documents.loading import load_clip
 
     document = load_clip(file_named(clip, "clip.yaml"))
+    document = document if limit is None else document.with_limit(limit)
     if settings.method != "paceline" or settings.device != "cpu":
         raise UnusableInput("--live: measures by Paceline's own method on the CPU; leave --method and --device out")
     at_once = detector is not None and bool(document.paths)
@@ -170,13 +185,24 @@ def _measure_live(
     return measure_live(document, out, configuration, quiet, detector)
 
 
-def _unit(text: str) -> SpeedUnit:
+def unit_named(text: str) -> SpeedUnit:
+    """The unit that the option --units names."""
     from paceline.units import parse_unit
 
     try:
         return parse_unit(text)
     except ValueError as error:
         raise UnusableInput(f"--units: {error}") from error
+
+
+def _limit(text: str) -> float:
+    """The posted limit in m/s."""
+    from paceline.units import parse_speed
+
+    try:
+        return parse_speed(text)
+    except ValueError as error:
+        raise UnusableInput(f"--limit: {error}") from error
 
 
 def _tolerance(value: float, unit: SpeedUnit) -> float:
@@ -222,15 +248,32 @@ def detector_of(config: Path | None, settings: SpeedSettings) -> Path | None:
 
 
 def _print_result(result: ClipResult, unit: str) -> None:
-    from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict, rejected_advice
+    from paceline.reports.common.formatting import (
+        NO_VALUE,
+        align_decimals,
+        format_compliance,
+        format_measurement,
+        format_seen,
+        format_verdict,
+        interval_title,
+        rejected_advice,
+    )
 
-    rows = [("vehicle", f"speed, {unit}", "95 % interval", "verdict")]
-    for m in result.measurements:
-        formatted = format_speed(m, unit)
-        interval = f"{formatted.lo} to {formatted.hi}" if formatted.lo != NO_VALUE else NO_VALUE
-        speed = f"{formatted.speed} ± {formatted.plus_minus}" if formatted.known else NO_VALUE
-        rows.append((m.vehicle, speed, interval, format_verdict(m)))
-    print_columns(rows)
+    texts = [format_measurement(m, unit) for m in result.measurements]
+    columns = [
+        ("vehicle", *(m.vehicle for m in result.measurements)),
+        (f"speed, {unit}", *align_decimals([str(text) for text in texts])),
+        (interval_title(m.interval_from for m in result.measurements), *align_decimals([text.ends for text in texts])),
+    ]
+    if any(m.limit is not None for m in result.measurements):
+        columns.append(("limit", *(format_compliance(m.compliance, m.limit, unit) for m in result.measurements)))
+    columns += [
+        ("lane", *(m.path or NO_VALUE for m in result.measurements)),
+        ("direction", *(m.travel or NO_VALUE for m in result.measurements)),
+        ("seen, s", *(format_seen(m.seen) for m in result.measurements)),
+    ]
+    columns.append(("verdict", *map(format_verdict, result.measurements)))
+    print_columns(list(zip(*columns, strict=True)))
     for m in result.measurements:
         if m.verdict != "measured":
             print(f"{m.vehicle}: {rejected_advice(m.reason_code)}")

@@ -140,14 +140,23 @@ def _format_vehicle(
     detected: DetectedVehicle, measurement: Measurement | None, reason: Message, unit: SpeedUnit
 ) -> str:
     """The printed line of a vehicle that has passed."""
-    from paceline.reports.common.formatting import NO_VALUE, format_speed, format_verdict, rejected_advice
+    from paceline.reports.common.formatting import (
+        NO_VALUE,
+        format_compliance,
+        format_measurement,
+        format_verdict,
+        rejected_advice,
+    )
 
     name = detected.vehicle.id if detected.vehicle is not None else NO_VALUE
     prefix = f"{time.strftime('%H:%M:%S')}  {name:<5} {detected.path:<8}"
+    prefix += f" {(measurement.travel if measurement else None) or NO_VALUE:<12}"
     if measurement is None:
         return f"{prefix} not measured: {reason}{_advice(reason.advice)}"
-    formatted = format_speed(measurement, unit)
-    speed = f"{formatted.speed} ± {formatted.plus_minus} {unit}" if formatted.known else NO_VALUE
+    formatted = format_measurement(measurement, unit)
+    speed = f"{formatted} {unit}" if formatted.known else NO_VALUE
+    compliance = format_compliance(measurement.compliance, measurement.limit, unit)
+    speed = speed if compliance == NO_VALUE else f"{speed}  {compliance}"
     advice = "" if measurement.verdict == "measured" else rejected_advice(measurement.reason_code)
     return f"{prefix} {speed}  {format_verdict(measurement)}{_advice(advice)}"
 

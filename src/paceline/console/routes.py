@@ -228,10 +228,10 @@ def _run_routes(library: Library) -> APIRouter:
     def live(clip: str, number: int, frame: int, view: int) -> Response:
         return _jpeg_response(library.runs.picture(_find_run(library, clip, number), frame, view))
 
-    @router.get("/results/{clip}/{number}/pictures/{vehicle}.jpg")
-    def picture(clip: str, number: int, vehicle: str) -> FileResponse:
+    @router.get("/results/{clip}/{number}/pictures/{stem}.jpg")
+    def picture(clip: str, number: int, stem: str) -> FileResponse:
         run = _find_run(library, decode_clip(clip), number)
-        return FileResponse(file_below(library.runs.output_folder(run), picture_name(vehicle)))
+        return FileResponse(file_below(library.runs.output_folder(run), picture_name(stem)))
 
     @router.get("/results/{clip}/{number}/{name}")
     def result(clip: str, number: int, name: str, save: bool = False) -> FileResponse:

@@ -33,6 +33,7 @@ from paceline.documents.models import (
     suggestion,
 )
 from paceline.errors import UnusableInput
+from paceline.units import parse_speed
 
 EXACTLY_ZERO = Quantity(0.0)
 
@@ -47,6 +48,7 @@ class PathDocument:
     right: Array | None
     lateral_offset: float  # m, from the drawn line to the vehicle's centre line, positive to the right of travel
     points: Array | None
+    limit: float | None = None  # m/s, the posted one on this path; None: that of the recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,17 @@ class Clip:
     offset: Quantity | None = None  # s, to add to the right view's times; None where it is not known
     drawn_on: int | None = None  # the frame on which the paths were drawn; None: the first one
     rate_override: bool = False  # whether the rate is used in place of a video's own time stamps
+    limit: float | None = None  # m/s, the posted one where a path states none of its own
+
+    def with_limit(self, limit: float) -> Clip:
+        """This clip with one ``limit`` (m/s) on all paths, whatever the files state."""
+        paths = {name: replace(path, limit=None) for name, path in self.paths.items()}
+        return replace(self, limit=limit, paths=paths)
+
+    def limit_on(self, path: str | None) -> float | None:
+        """The posted limit on the ``path`` of this name, m/s; None where none is stated."""
+        drawn = self.paths.get(path or "")
+        return self.limit if drawn is None or drawn.limit is None else drawn.limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +173,8 @@ def load_clip(path: str | Path) -> Clip:
         if model.synchronised:
             require_same_part(path, clip.rig, i, vehicle)
         vehicles.append(vehicle)
-    return replace(clip, paths=paths, vehicles=vehicles)
+    limit = _limit(model.limit or (None if site is None else site.limit))
+    return replace(clip, paths=paths, vehicles=vehicles, limit=limit)
 
 
 def load_clip_recording(path: str | Path, rig: Path | None = None) -> Clip:
@@ -209,6 +223,10 @@ def _recording(path: Path, model: ClipModel, rig: Path) -> Clip:
         offset=_offset(path, model),
         drawn_on=model.drawn_on,
     )
+
+
+def _limit(stated: str | None) -> float | None:
+    return None if stated is None else parse_speed(stated)
 
 
 def _offset(path: Path, model: ClipModel) -> Quantity | None:
@@ -310,7 +328,7 @@ def _path(file: Path, rig: StereoRig, name: str, m: PathModel) -> PathDocument:
         if m.left is not None or m.right is not None:
             raise UnusableInput(f"{file}: {key}: expected either points or left and right, found both")
         _refuse(file, f"{key}.points", plausibility.check_path_points(m.points))
-        return PathDocument(name, m.shape, None, None, m.lateral_offset, m.points)
+        return PathDocument(name, m.shape, None, None, m.lateral_offset, m.points, _limit(m.limit))
     if m.left is None or m.right is None:
         drawn_sides = [side for side, drawn in (("left", m.left), ("right", m.right)) if drawn is not None]
         problem = f"drawn in the {drawn_sides[0]} view only" if drawn_sides else "not drawn"
@@ -318,7 +336,7 @@ def _path(file: Path, rig: StereoRig, name: str, m: PathModel) -> PathDocument:
     for side, drawn in (("left", m.left), ("right", m.right)):
         _refuse(file, f"{key}.{side}", plausibility.check_drawing(drawn, m.shape))
     left, right = rig.left.undistort_points(m.left), rig.right.undistort_points(m.right)
-    return PathDocument(name, m.shape, left, right, m.lateral_offset, None)
+    return PathDocument(name, m.shape, left, right, m.lateral_offset, None, _limit(m.limit))
 
 
 def _vehicle(

@@ -25,6 +25,7 @@ from pydantic.fields import FieldInfo
 from paceline.arrays import Array
 from paceline.documents.yaml_loading import load_yaml
 from paceline.errors import UnusableInput, refuse_pipe_or_device
+from paceline.units import parse_speed
 
 MAX_DOCUMENT_NAME_LENGTH = 100
 MAX_NUMBER = 1e9  # upper limit of every pixel and metre in these files; excludes NaN and infinity as well
@@ -108,6 +109,14 @@ def _is_frame_rate(rate: RateModel) -> RateModel:
     return rate
 
 
+def _speed_with_unit(value: Any) -> str:
+    """Kept as it is written, so that it can be written again."""
+    if not isinstance(value, str):
+        raise ValueError(f"expected a speed with its unit, such as 30 mph, found {_excerpt(value)}")
+    parse_speed(value)
+    return value
+
+
 def _is_readout(quantity: QuantityModel) -> QuantityModel:
     if abs(quantity.value) > MAX_READOUT_S:
         raise ValueError(
@@ -148,6 +157,7 @@ Vector = Annotated[Array, _vector(3)]
 Pair = Annotated[Array, _vector(2)]
 Name = Annotated[str, BeforeValidator(_name), Field(min_length=1), AfterValidator(_legible)]
 Text = Annotated[str, Field(min_length=1)]
+PostedLimit = Annotated[str, BeforeValidator(_speed_with_unit)]
 Rate = Annotated[float, Field(ge=FRAME_RATE_LIMITS_HZ[0], le=FRAME_RATE_LIMITS_HZ[1])]
 Bits = Annotated[int, Field(ge=8, le=16)]
 Size = Annotated[int, Field(ge=16, le=65536)]
@@ -246,6 +256,7 @@ class PathModel(Document):
     right: Pixels | None = None
     points: Points | None = None
     lateral_offset: float = 0.0
+    limit: PostedLimit | None = None
 
 
 class VehicleModel(Document):
@@ -268,6 +279,7 @@ class ClipModel(Document):
     synchronised: bool | None = None
     offset: Stated | None = None
     drawn_on: Annotated[int, Field(ge=0)] | None = None
+    limit: PostedLimit | None = None
     rig: str | None = None
     site: Text | None = None
     paths: dict[Name, PathModel] | None = None
@@ -276,6 +288,7 @@ class ClipModel(Document):
 
 class SiteModel(Document):
     rig: Text
+    limit: PostedLimit | None = None
     paths: dict[Name, PathModel] | None = None
 
 
@@ -311,6 +324,7 @@ class FollowModel(Document):
 
 
 M = TypeVar("M", bound=KnownKeys)
+B = TypeVar("B", bound=BaseModel)
 
 
 def read_document(model: type[M], path: Path) -> M:
@@ -327,6 +341,11 @@ def read_document(model: type[M], path: Path) -> M:
         raise UnusableInput(f"{path}: is not a text file") from error
     except (yaml.MarkedYAMLError, yaml.reader.ReaderError, ValueError, RecursionError) as error:
         raise UnusableInput(f"{path}: {_yaml_problem(error)}") from error
+    return checked_content(model, content, path)
+
+
+def checked_content(model: type[B], content: Any, path: Path) -> B:
+    """The ``content`` of the file at ``path`` as a ``model``; raises UnusableInput naming the key."""
     try:
         return model.model_validate(content, strict=True)
     except ValidationError as error:

@@ -22,6 +22,7 @@ from paceline.recordings.stereo import StereoFrames, StereoRecording
 from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter.estimate import Estimate
+from paceline.speed.passage import with_passage
 from paceline.speed.results import ClipResult, ExposureEstimate, Measurement
 from paceline.verdicts import message
 
@@ -134,6 +135,7 @@ def measure_as_seen(
         )
         for m in result.measurements
     ]
+    measurements = [with_passage(m, cameras.clip, result.paths) for m in measurements]
     if (found := cameras.frame_times) is not None:
         measurements = [_of_clear_times(m, found) for m in measurements]
     return replace(

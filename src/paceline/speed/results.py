@@ -16,10 +16,13 @@ from paceline.verdicts import Message
 CONFIDENCE_LEVEL = 0.95  # confidence level of all intervals
 
 
+MIN_TRAVEL_M = 1.0  # of a vehicle whose direction is told
+
 SUMMARY_COLUMNS = (
     "vehicle", "speed_mps", "speed_lo_mps", "speed_hi_mps", "frames", "verdict", "reason", "reason_code",
     "random_std_mps", "systematic_std_mps", "calibrated_by", "model", "acceleration_mps2", "residual_rms",
-    "corners_difference_mps", "corners_difference_std_mps",
+    "corners_difference_mps", "corners_difference_std_mps", "interval_from", "path", "direction", "travel",
+    "seen_from_s", "seen_to_s", "limit_mps", "compliance",
 )  # fmt: skip
 
 
@@ -42,6 +45,17 @@ class Track:
     particles_right: Array  # (N, P, 2)
     refined_speed: Array  # (N,) m/s, NaN without refinement
     refined_std: Array  # (N,) m/s, systematic part included where known; NaN without refinement
+
+    @property
+    def tracked(self) -> NDArray[np.bool_]:
+        """Which frames (N,) show the vehicle."""
+        return np.array([status == "tracking" for status in self.status], bool)
+
+    @property
+    def tracked_positions(self) -> Array:
+        """Where the vehicle was tracked, (M, 3) m, without positions that are not known."""
+        positions = self.position[self.tracked].reshape(-1, 3)
+        return positions[np.isfinite(positions).all(axis=1)]
 
 
 @dataclass(frozen=True)
@@ -106,6 +120,46 @@ class Measurement:
     calibrated_by: int = 0  # vehicles whose images have corrected the calibration of rig.yaml
     rig_information: RigInformation | None = None  # for joint calibration, None where that is done or impossible
     reason_code: str = ""  # of `paceline.verdicts`; empty when measured
+    path: str | None = None  # the name of its path
+    direction: str | None = None  # with | against the order in which the path was drawn
+    limit: float | None = None  # m/s, the posted limit
+
+    @property
+    def interval_from(self) -> str | None:
+        """What the interval comes from: ``fit``, that of the whole track with random and systematic part, ``filter``,
+        the filter's own spread, or ``scatter``, that of a baseline's values; None without an interval."""
+        if not np.isfinite([self.speed_lo, self.speed_hi]).all():
+            return None
+        codes = {notice.code for notice in self.notices if isinstance(notice, Message)}
+        return "scatter" if "baseline_interval" in codes else "filter" if "not_refined" in codes else "fit"
+
+    @property
+    def seen(self) -> tuple[float, float] | None:
+        """When it was first and last tracked, s; None where it was not."""
+        times = self.track.time[self.track.tracked]
+        return (float(times[0]), float(times[-1])) if len(times) else None
+
+    @property
+    def travel(self) -> str | None:
+        """How the cameras see it drive: ``approaching``, ``receding``, ``to the left`` or ``to the right``; None where
+        it hardly moves."""
+        positions = self.track.tracked_positions
+        if len(positions) < 2:
+            return None
+        x, _, z = positions[-1] - positions[0]
+        if max(abs(x), abs(z)) < MIN_TRAVEL_M:
+            return None
+        if abs(z) >= abs(x):
+            return "approaching" if z < 0 else "receding"
+        return "to the left" if x < 0 else "to the right"
+
+    @property
+    def compliance(self) -> str | None:
+        """Whether the limit is kept, by the 95 % interval: ``within``, ``over`` or ``undecided``; None without a limit
+        or a measured speed."""
+        if self.limit is None or self.verdict != "measured":
+            return None
+        return "within" if self.speed_hi <= self.limit else "over" if self.speed_lo > self.limit else "undecided"
 
     def summary(self) -> dict[str, object]:
         """The vehicle's entry of summary.json."""
@@ -126,6 +180,14 @@ class Measurement:
             "residual_rms": self.residual_rms,
             "corners_difference_mps": self.corners_difference,
             "corners_difference_std_mps": self.corners_difference_std,
+            "interval_from": self.interval_from,
+            "path": self.path,
+            "direction": self.direction,
+            "travel": self.travel,
+            "seen_from_s": None if self.seen is None else self.seen[0],
+            "seen_to_s": None if self.seen is None else self.seen[1],
+            "limit_mps": self.limit,
+            "compliance": self.compliance,
             "notices": self.notices,
         }
 

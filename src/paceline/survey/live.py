@@ -42,6 +42,7 @@ from paceline.speed.acceptance import apply_tolerance
 from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration
 from paceline.speed.joint_calibration import with_neighbours
 from paceline.speed.measurement import measure, require_two_views
+from paceline.speed.passage import with_passage
 from paceline.speed.results import Measurement
 from paceline.verdicts import Message, message
 
@@ -313,4 +314,5 @@ def subsample(pairs: list[RawPair], max_pairs: int) -> list[RawPair]:
 
 @on_one_blas_thread
 def _measure(clip: Clip, pairs: list[RawPair], rows: slice, configuration: SpeedConfiguration) -> Measurement:
-    return measure(clip, BufferedRecording(clip, pairs, rows), configuration).measurements[0]
+    result = measure(clip, BufferedRecording(clip, pairs, rows), configuration)
+    return with_passage(result.measurements[0], clip, result.paths)

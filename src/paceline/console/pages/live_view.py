@@ -113,7 +113,7 @@ class LiveView:
                 if not summary["unmeasured"]:
                     ui.label("No vehicle has passed yet.").classes("pl-fact")
                 return
-            show_vehicle_table(vehicles, self.unit, ROWS_PER_PAGE)
+            show_vehicle_table(self.run, vehicles, self.unit, ROWS_PER_PAGE)
             if series:
                 ui.label(self._axis_label()).classes("pl-fact")
                 ui.echart(speed_chart(series, None, self.unit)).classes("pl-chart")

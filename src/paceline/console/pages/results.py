@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
+from urllib.parse import quote
 
 from nicegui import ui
 
@@ -15,6 +16,7 @@ from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN
 from paceline.console.runs.results import (
     compare_summaries,
     picture_name,
+    picture_stem,
     read_follow_summary,
     read_range_series,
     read_series,
@@ -23,21 +25,28 @@ from paceline.console.runs.results import (
     vehicle_rows,
 )
 from paceline.console.runs.run_queue import STATE_MEASURED, Run
-from paceline.reports.common.formatting import format_number
+from paceline.reports.common.formatting import format_number, interval_title
 
 VERDICT_TEMPLATE = """
 <q-td :props="props">
   <span :class="['pl-badge', props.value === 'measured' ? 'pl-good' : 'pl-bad']">{{ props.value }}</span>
 </q-td>
 """
+PICTURE_TEMPLATE = """
+<q-td :props="props">
+  <img v-if="props.value" :src="props.value" :alt="props.row.vehicle" class="pl-thumbnail" loading="lazy">
+</q-td>
+"""
 TABLE_COLUMNS = [
     {"name": name, "label": label, "field": name, "align": "left"}
     for name, label in (
-        ("vehicle", "vehicle"), ("speed", "speed, {unit}"), ("interval", "95 % interval"), ("frames", "frames"),
-        ("verdict", "verdict"), ("reason", "reason"),
+        ("vehicle", "vehicle"), ("speed", "speed, {unit}"), ("interval", "{interval}"), ("lane", "lane"),
+        ("travel", "direction"), ("seen", "seen, s"), ("frames", "frames"), ("verdict", "verdict"),
+        ("reason", "reason"),
     )
 ]  # fmt: skip
-SEEN_COLUMN = {"name": "seen", "label": "seen, s", "field": "seen", "align": "left"}
+PICTURE_COLUMN = {"name": "picture", "label": "picture", "field": "picture", "align": "left"}
+LIMIT_COLUMN = {"name": "limit", "label": "limit", "field": "limit", "align": "left"}
 ADVICE_COLUMN = {"name": "advice", "label": "advice", "field": "advice", "align": "left"}
 ROWS_PER_PAGE = 50
 MAX_ROWS = 1000  # rows of a table; ten times as many would block all pages for a second
@@ -63,7 +72,7 @@ def show_speeds(
     summary, series = read_summary(out), read_series(out, growing=run.kind == LIVE_RUN)
     if run.kind == LIVE_RUN:
         show_recent_vehicles(run, summary, unit)
-    show_vehicle_table(summary["vehicles"], unit)
+    show_vehicle_table(run, summary["vehicles"], unit)
     if not summary["vehicles"]:
         ui.label("No vehicle was detected.").classes("pl-reason")
     for notice in summary["notices"]:
@@ -82,29 +91,34 @@ def show_speeds(
         )  # fmt: skip
         table.props("flat dense").classes("pl-table")
     if series:
-        ui.label(f"Speed over time, {unit}, with the 95 % interval").classes("pl-fact")
+        interval = interval_title(vehicle.get("interval_from") for vehicle in summary["vehicles"])
+        ui.label(f"Speed over time, {unit}, with the {interval}").classes("pl-fact")
         ui.echart(speed_chart(series, compared, unit)).classes("pl-chart")
 
 
-def show_vehicle_table(vehicles: list[dict[str, Any]], unit: str, max_rows: int = MAX_ROWS) -> None:
-    """Shows a row for each of the last ``max_rows`` vehicles; of a live run latest first, with the
-    times at which they were seen."""
+def show_vehicle_table(run: Run, vehicles: list[dict[str, Any]], unit: str, max_rows: int = MAX_ROWS) -> None:
+    """Shows a row for each of the last ``max_rows`` vehicles of a ``run``; of a live one latest first."""
     if len(vehicles) > max_rows:
         ui.label(f"The last {max_rows} of {len(vehicles)} vehicles; the files hold all of them.").classes("pl-fact")
         vehicles = vehicles[-max_rows:]
-    live = any("seen_from_s" in vehicle for vehicle in vehicles)
     rows = vehicle_rows(vehicles, unit)
-    columns = [{**column, "label": column["label"].format(unit=unit)} for column in TABLE_COLUMNS]
+    interval = interval_title(vehicle.get("interval_from") for vehicle in vehicles)
+    columns = [{**column, "label": column["label"].format(unit=unit, interval=interval)} for column in TABLE_COLUMNS]
+    if any(vehicle.get("limit_mps") is not None for vehicle in vehicles):
+        columns.insert(3, LIMIT_COLUMN)
     if any(row["advice"] for row in rows):
         columns.append(ADVICE_COLUMN)
-    if live:
-        columns.insert(1, SEEN_COLUMN)
-        for row, vehicle in zip(rows, vehicles, strict=True):
-            row["seen"] = f"{vehicle['seen_from_s']:.1f} to {vehicle['seen_to_s']:.1f}"
+    stems = [picture_stem(vehicle) for vehicle in vehicles]
+    if any(stems):
+        columns.insert(1, PICTURE_COLUMN)
+        for row, stem in zip(rows, stems, strict=True):
+            row["picture"] = "" if stem is None else result_address(run.clip, run.number, quote(picture_name(stem)))
+    if run.kind == LIVE_RUN:
         rows.reverse()
     pages = ROWS_PER_PAGE if len(rows) > ROWS_PER_PAGE else None
     table = ui.table(columns=columns, rows=rows, row_key="vehicle", pagination=pages)
     table.props("flat dense wrap-cells").classes("pl-table").add_slot("body-cell-verdict", VERDICT_TEMPLATE)
+    table.add_slot("body-cell-picture", PICTURE_TEMPLATE)
 
 
 def show_recent_vehicles(run: Run, summary: dict[str, Any], unit: str) -> None:

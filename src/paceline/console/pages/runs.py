@@ -109,7 +109,10 @@ class _RunsPage:
         tolerance.tooltip(
             "Speeds whose 95 % interval is wider than ± this are rejected; empty: the default limits only."
         )
+        limit = ui.input("Speed limit", placeholder="30 mph").props("dense clearable")
+        limit.tooltip("Posted limit with its unit; empty: that of clip.yaml, of the site or of a path.")
         self.fields |= {"particles": particles, "seed": seed, "motion": motion.props("dense"), "tolerance": tolerance}
+        self.fields["limit"] = limit
         if not entry.contents.live:
             live = ui.checkbox("Play it as a live stream", on_change=self.change_kind)
             live.tooltip("To try live measurement: vehicle after vehicle, as if the cameras recorded now.")

@@ -34,7 +34,7 @@ def copy_documents(root: Path, file: Path, inputs: Path, vehicles: bool) -> None
         if key in values and not STREAM_PATTERN.fullmatch(values[key]):
             values[key] = str(file.parent / values[key])
     try:
-        inputs.mkdir()
+        inputs.mkdir(parents=True)
         _write_copy(root, file, inputs, values)
     except OSError as error:
         raise UnusableInput(f"{inputs}: cannot be written ({error.strerror})") from error

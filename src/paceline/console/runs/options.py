@@ -10,7 +10,7 @@ from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN, SPEED_RUN
 from paceline.errors import UnusableInput
 from paceline.speed.choices import Motion
 from paceline.speed.configuration import SpeedSettings
-from paceline.units import SpeedUnit, convert, parse_unit
+from paceline.units import SpeedUnit, convert, parse_speed, parse_unit
 
 MOTION_NAMES: tuple[str, ...] = get_args(Motion)
 UNIT_NAMES = tuple(unit.value for unit in SpeedUnit)
@@ -42,6 +42,12 @@ def command_options(kind: str, settings: dict[str, Any]) -> list[str]:
         first = error.errors()[0]
         key, expected = ".".join(map(str, first["loc"])), first["msg"].replace("Input should be", "expected")
         raise UnusableInput(f"{key}: {expected}") from error
+    if limit := str(settings.get("limit") or "").strip():
+        try:
+            parse_speed(limit)
+        except ValueError as error:
+            raise UnusableInput(f"limit: {error}") from error
+        chosen["limit"] = limit
     texts = {name: f"{value:g}" if name in ("tolerance", "learn") else str(value) for name, value in chosen.items()}
     return [argument for name, text in texts.items() for argument in (OPTION_NAMES.get(name, f"--{name}"), text)]
 

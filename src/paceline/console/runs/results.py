@@ -15,16 +15,22 @@ from typing import Any
 from paceline.console.confinement import NotFound, file_below
 from paceline.errors import UnusableInput
 from paceline.reports.common.formatting import (
+    INTERVAL_LIMITATIONS,
     NO_VALUE,
-    format_interval,
+    IntervalText,
+    align_for_page,
+    format_compliance,
     format_number,
-    format_speed_number,
+    format_seen,
+    format_speed,
     rejected_advice,
 )
+from paceline.reports.speed.tables import PICTURES_FOLDER
 from paceline.units import COVERAGE_95, convert
 
 RESULT_FILES = {  # of a run, with the text of their links
     "report.html": "Open the report",
+    "vehicles.csv": "Every vehicle (CSV)",
     "estimates.csv": "Every frame (CSV)",
     "track.csv": "Every frame (CSV)",
     "summary.json": "Summary (JSON)",
@@ -74,9 +80,16 @@ def nothing_measured_reason(out: Path) -> str:
     return str(reasons[0]) if reasons else "no vehicle passed that could be measured"
 
 
-def picture_name(vehicle: str) -> str:
-    """The picture of a live run's ``vehicle``, relative to the output folder."""
-    return f"pictures/{vehicle}.jpg"
+def picture_name(stem: str) -> str:
+    """A vehicle's picture, relative to the output folder; in a live run ``stem`` is the vehicle's id."""
+    return f"{PICTURES_FOLDER}/{stem}.jpg"
+
+
+def picture_stem(vehicle: dict[str, Any]) -> str | None:
+    """That of the picture that a summary names for a ``vehicle``; None where there is none."""
+    name = str(vehicle.get("picture") or "")
+    stem = name.removeprefix(f"{PICTURES_FOLDER}/").removesuffix(".jpg")
+    return stem if stem and "/" not in stem and picture_name(stem) == name else None
 
 
 def result_files(out: Path) -> dict[str, str]:
@@ -165,42 +178,58 @@ def read_follow_summary(out: Path) -> dict[str, Any]:
 
 
 def vehicle_rows(vehicles: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:
-    """A row of text per vehicle of a summary: speed, interval, frames, verdict, reason and advice."""
-    return [_vehicle_row(vehicle, unit) for vehicle in vehicles]
+    """A row of text per vehicle of a summary: speed, interval, limit, lane, direction, time, verdict and more."""
+    texts = [_speed_text(vehicle, unit) for vehicle in vehicles]
+    speeds, intervals = align_for_page([str(text) for text in texts]), align_for_page([text.ends for text in texts])
+    compliance = [format_compliance(v.get("compliance"), _number_or_none(v.get("limit_mps")), unit) for v in vehicles]
+    return [_vehicle_row(*row) for row in zip(vehicles, speeds, intervals, compliance, strict=True)]
 
 
-def _vehicle_row(vehicle: dict[str, Any], unit: str) -> dict[str, str]:
+def _speed_text(vehicle: dict[str, Any], unit: str) -> IntervalText:
     speed, lo, hi = (_number_or_nan(vehicle.get(key)) for key in ("speed_mps", "speed_lo_mps", "speed_hi_mps"))
-    half = (hi - lo) / 2
+    return format_speed(speed, lo, hi, unit)
+
+
+def _vehicle_row(vehicle: dict[str, Any], speed: str, interval: str, limit: str) -> dict[str, str]:
     return {
         "vehicle": str(vehicle.get("vehicle")),
-        "speed": NO_VALUE if math.isnan(speed) else format_interval(speed, half, unit),
-        "interval": NO_VALUE
-        if math.isnan(half)
-        else f"{format_speed_number(lo, unit, half)} to {format_speed_number(hi, unit, half)}",
+        "speed": speed,
+        "interval": interval,
+        "limit": limit,
+        "lane": str(vehicle.get("path") or NO_VALUE),
+        "travel": str(vehicle.get("travel") or NO_VALUE),
+        "seen": _format_seen(vehicle),
         "frames": str(vehicle.get("frames")),
         "verdict": str(vehicle.get("verdict")),
-        "reason": str(vehicle.get("reason") or ""),
+        "reason": str(vehicle.get("reason") or INTERVAL_LIMITATIONS.get(str(vehicle.get("interval_from")), "")),
         "advice": rejected_advice(str(vehicle.get("reason_code"))) if vehicle.get("verdict") == "rejected" else "",
     }
 
 
+def _format_seen(vehicle: dict[str, Any]) -> str:
+    times = [time for key in ("seen_from_s", "seen_to_s") if (time := _number_or_none(vehicle.get(key))) is not None]
+    return format_seen(times if len(times) == 2 else None)
+
+
 def compare_summaries(first: list[dict[str, Any]], second: list[dict[str, Any]], unit: str) -> list[dict[str, str]]:
-    """A row per vehicle that both summaries have: both speeds, and the second minus the first."""
+    """A row per vehicle that both summaries have: both speeds, and the second minus the first, to the decimals that
+    both speeds have."""
     others = {str(vehicle.get("vehicle")): vehicle for vehicle in second}
     rows = []
     for vehicle in first:
         other = others.get(str(vehicle.get("vehicle")))
         if other is not None:
             a, b = _number_or_nan(vehicle.get("speed_mps")), _number_or_nan(other.get("speed_mps"))
-            change = round(convert(b - a, unit), 2) + 0.0  # no negative zero
+            texts = _speed_text(vehicle, unit), _speed_text(other, unit)
+            decimals = min(text.decimals for text in texts)
+            change = round(convert(b - a, unit), decimals) + 0.0  # no negative zero
             sign = "+" if change > 0 else ""
             rows.append(
                 {
                     "vehicle": str(vehicle.get("vehicle")),
-                    "first": _vehicle_row(vehicle, unit)["speed"],
-                    "second": _vehicle_row(other, unit)["speed"],
-                    "change": sign + format_number(change, 2),
+                    "first": str(texts[0]),
+                    "second": str(texts[1]),
+                    "change": sign + format_number(change, decimals),
                 }
             )
     return rows
@@ -208,3 +237,7 @@ def compare_summaries(first: list[dict[str, Any]], second: list[dict[str, Any]],
 
 def _number_or_nan(value: object) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _number_or_none(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) else None

@@ -106,7 +106,7 @@ class RunQueue:
         run = Run(clip, number, kind, tuple(options), STATE_WAITING, time.time())
         run_folder = self.folder(run)
         try:  # without the lock: it takes seconds where thousands of vehicles are outlined
-            copy_documents(self._root, file, run_folder / INPUTS_FOLDER, keeps_vehicles(kind))
+            copy_documents(self._root, file, self._inputs_folder(run, run_folder), keeps_vehicles(kind))
             _write_run(run_folder, run)
         except OSError as error:
             shutil.rmtree(run_folder, ignore_errors=True)
@@ -193,8 +193,16 @@ class RunQueue:
 
     def input_document(self, run: Run) -> Path:
         """The run's own copy of the document that it measures. Raises NotFound."""
-        name = document_of(run.kind)
-        return file_below(self.folder(run), f"{INPUTS_FOLDER}/{name if run.clip == '.' else f'{run.clip}/{name}'}")
+        folder = self.folder(run)
+        file = self._inputs_folder(run, folder) / run.clip / document_of(run.kind)
+        return file_below(folder, str(file.relative_to(folder)))
+
+    def _inputs_folder(self, run: Run, folder: Path) -> Path:
+        """The folder of the copies in a run's ``folder``; in it they have the same relative paths as the originals in
+        the console's. Of a clip right in the console's folder it has that one's name: a report is titled by the folder
+        of its clip.yaml."""
+        inputs = folder / INPUTS_FOLDER
+        return inputs / self._root.name if run.clip == "." else inputs
 
     def output_folder(self, run: Run) -> Path:
         """The folder of the command's output, which appears when the command succeeds."""
@@ -241,7 +249,7 @@ class RunQueue:
     def _run(self, run: Run) -> Run:
         key = run.clip, run.number
         folder = self.folder(run)
-        file, inputs = self.input_document(run), folder / INPUTS_FOLDER
+        file, inputs = self.input_document(run), self._inputs_folder(run, folder)
         check_document(self._root, file)  # the files that it names may have changed while the run waited
         _write_run(folder, run)
         command = [
@@ -334,7 +342,7 @@ class RunQueue:
 
     def _relative_reason(self, run: Run, reason: str) -> str:
         """``reason`` with paths relative to the console's folder, and of originals instead of copies."""
-        inputs = self._root / run.clip / RUNS_FOLDER / f"{run.number:04d}" / INPUTS_FOLDER
+        inputs = self._inputs_folder(run, self._root / run.clip / RUNS_FOLDER / f"{run.number:04d}")
         return reason.replace(f"{inputs}/", "").replace(f"{self._root}/", "")
 
 

@@ -6,6 +6,10 @@ import { ordered } from "./model.js";
 
 const COVERAGE_95 = 1.959963984540054; // standard deviations on each side of a 95 % interval
 
+const uncertain = (value, half, unit) => { // half with two significant digits, the value to the same decimal
+  const decimals = half > 0 ? Math.max(0, 1 - Math.floor(Math.log10(Number(half.toPrecision(2))))) : 1;
+  return `${value.toFixed(decimals)} ± ${half.toFixed(decimals)} ${unit}`;
+};
 const metres = (value, digits = 1) => `${value.toFixed(digits)} m`;
 
 function facts(kind, found) {
@@ -13,10 +17,10 @@ function facts(kind, found) {
   const list = [];
   if (kind === "path") {
     list.push(["from the cameras", `${metres(found.near_m, 0)} to ${metres(found.far_m, 0)}`]);
-    list.push(["direction known to", `± ${(COVERAGE_95 * found.direction_std_deg).toPrecision(1)}°`]);
+    list.push(["direction known to", `± ${(COVERAGE_95 * found.direction_std_deg).toPrecision(2)}°`]);
     if (found.beside) list.push([`beside ${found.beside}`, metres(found.gap_m, 2)]);
   } else {
-    list.push(["distance", `${metres(found.distance_m)} ± ${metres(COVERAGE_95 * found.distance_std_m)}`]);
+    list.push(["distance", uncertain(found.distance_m, COVERAGE_95 * found.distance_std_m, "m")]);
     list.push(["width × height", `${found.width_m.toFixed(2)} × ${metres(found.height_m, 2)}`]);
     list.push(["views agree to", `${found.epipolar_px.toFixed(1)} px`]);
     if (found.beside_path_m !== undefined) list.push(["beside its line", metres(found.beside_path_m, 2)]);
@@ -89,7 +93,9 @@ export class ItemList {
       fields.push(field("shape", select([["line", "straight"], ["curve", "curve"]], entry.shape, "shape")));
       const offset = field("lane centre, m", number(entry.lateral_offset, "lateral_offset", 0.05));
       offset.title = "From the drawn line to the middle of the lane; positive to the right of travel";
-      fields.push(offset);
+      const limit = make("input", { value: entry.limit ?? "", placeholder: "30 mph", maxLength: 40 });
+      limit.onchange = () => set("limit", limit.value.trim() || undefined);
+      fields.push(offset, field("speed limit", limit));
     } else {
       const names = Object.keys(editor.model.allPaths).map((path) => [path, path]);
       fields.push(field("path", select([["", "none"], ...names], entry.path, "path")));

@@ -64,7 +64,7 @@ export class Model extends History {
 
 // Keys in the order of the file format, as a person would write them.
 export function ordered(entry) {
-  const keys = ["shape", "id", "path", "frame", "left", "right", "points", "lateral_offset", "plane", "speed"];
+  const keys = ["shape", "id", "path", "frame", "left", "right", "points", "lateral_offset", "limit", "plane", "speed"];
   return Object.fromEntries(keys.filter((key) => entry[key] !== undefined && entry[key] !== null).map((key) => [key, entry[key]]));
 }
 

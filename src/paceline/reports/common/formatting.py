@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -13,25 +16,37 @@ from paceline.units import COVERAGE_95, convert
 from paceline.verdicts import advice_for
 
 NO_VALUE = "–"
+SIGNIFICANT_DIGITS = 2  # of a ±
+FIGURE_SPACE, PUNCTUATION_SPACE = "\u2007", "\u2008"  # as wide as a digit, as a point
 
+# of an interval, by what it comes from; that of the fit of the whole track has none
+INTERVAL_LIMITATIONS = {"scatter": "interval from scatter alone", "filter": "interval from the filter's spread alone"}
 GENERAL_ADVICE = "Look at the overlay: the outline has to stay on the same part of the vehicle in both views."
 
 
 @dataclass(frozen=True)
-class SpeedText:
-    """A speed and its uncertainties as text in one unit; ``±`` is always half of a 95 % interval."""
+class IntervalText:
+    """A value with its 95 % interval as text: ``±``, half of the interval, has two significant digits, and all numbers
+    have as many decimals as it has. NO_VALUE where a number is not known."""
 
-    unit: str
-    speed: str
+    value: str
+    plus_minus: str
     lo: str
     hi: str
-    plus_minus: str
-    random: str
-    systematic: str  # NO_VALUE where there is no such part, as where the calibration is exact
+    decimals: int
 
     @property
     def known(self) -> bool:
-        return self.speed != NO_VALUE
+        return self.value != NO_VALUE
+
+    @property
+    def ends(self) -> str:
+        """For example ``44.90 to 45.07``."""
+        return NO_VALUE if self.lo == NO_VALUE else f"{self.lo} to {self.hi}"
+
+    def __str__(self) -> str:
+        """For example ``44.98 ± 0.09``."""
+        return f"{self.value} ± {self.plus_minus}" if self.known else NO_VALUE
 
 
 def format_number(value: float, decimals: int) -> str:
@@ -39,42 +54,124 @@ def format_number(value: float, decimals: int) -> str:
     return f"{value:.{decimals}f}".replace("-", "−") if math.isfinite(value) else NO_VALUE
 
 
-def format_speed_number(speed: float, unit: str, half_width: float = math.nan) -> str:
-    """``speed`` (m/s) as a number in ``unit``: one decimal, or two when its uncertainty is below a tenth."""
-    return format_number(convert(speed, unit), _decimals(convert(half_width, unit)))
+def significant_decimals(half_width: float) -> int:
+    """The decimals that give ``half_width`` SIGNIFICANT_DIGITS, or 1 where it is not known."""
+    if not math.isfinite(half_width) or half_width == 0:
+        return 1
+    exponent = int(f"{half_width:.{SIGNIFICANT_DIGITS - 1}e}".partition("e")[2])
+    return max(SIGNIFICANT_DIGITS - 1 - exponent, 0)
 
 
-def format_interval(speed: float, half_width: float, unit: str) -> str:
-    """``speed`` ± ``half_width`` (m/s) as numbers in ``unit``, for example ``44.9 ± 0.1``."""
-    return " ± ".join(format_speed_number(value, unit, half_width) for value in (speed, half_width))
+def format_interval(value: float, lo: float, hi: float) -> IntervalText:
+    """``value`` with the interval from ``lo`` to ``hi``. The ends are what value and ± as shown add up to, unless the
+    value is not in the middle."""
+    half = (hi - lo) / 2
+    decimals = significant_decimals(half)
+    if abs(lo + hi - 2 * value) < 10.0**-decimals:
+        value, half = round(value, decimals), round(half, decimals)
+        lo, hi = value - half, value + half
+    middle, plus_minus, low, high = (format_number(number, decimals) for number in (value, half, lo, hi))
+    return IntervalText(middle, plus_minus, low, high, decimals)
 
 
-def format_speed(measurement: Measurement, unit: str) -> SpeedText:
-    """The measured speed in ``unit``, with random and systematic parts that add up (in squares) to the interval."""
-    half = (measurement.speed_hi - measurement.speed_lo) / 2
-    coverage = coverage_factor(measurement)
-    decimals = _decimals(convert(half, unit))
+def format_uncertain(value: float, half_width: float) -> str:
+    """``value`` ± ``half_width`` as text."""
+    return str(format_interval(value, value - half_width, value + half_width))
 
-    def text(value: float) -> str:
-        return format_number(convert(value, unit), decimals)
 
-    def part(value: float) -> str:
-        return format_number(convert(coverage * value, unit), 2)
+def format_speed(speed: float, lo: float, hi: float, unit: str) -> IntervalText:
+    """``speed`` with the interval from ``lo`` to ``hi`` (m/s), in ``unit``."""
+    return format_interval(convert(speed, unit), convert(lo, unit), convert(hi, unit))
 
-    return SpeedText(
-        unit=unit,
-        speed=text(measurement.speed),
-        lo=text(measurement.speed_lo),
-        hi=text(measurement.speed_hi),
-        plus_minus=text(half),
-        random=part(measurement.random_std),
-        systematic=part(measurement.systematic_std),
+
+def format_speed_number(speed: float, unit: str) -> str:
+    """``speed`` (m/s) without an uncertainty, as a number in ``unit``."""
+    return format_number(convert(speed, unit), 1)
+
+
+def format_measurement(measurement: Measurement, unit: str) -> IntervalText:
+    """The measured speed in ``unit``."""
+    return format_speed(measurement.speed, measurement.speed_lo, measurement.speed_hi, unit)
+
+
+def format_parts(measurement: Measurement, unit: str) -> tuple[str, str]:
+    """The random and the systematic part of the measured speed's ±, which add up to it in squares; of a part that there
+    is not, as the systematic one where the calibration is exact, NO_VALUE."""
+    coverage, decimals = coverage_factor(measurement), format_measurement(measurement, unit).decimals
+    random, systematic = (
+        format_number(convert(coverage * std, unit), decimals)
+        for std in (measurement.random_std, measurement.systematic_std)
     )
+    return random, systematic
+
+
+def align_decimals(texts: Sequence[str], pad: str = " ", pad_point: str = " ") -> list[str]:
+    """``texts`` of numbers and words between spaces, padded so that the decimal points of each place are in one column;
+    ``pad`` is as wide as a digit and ``pad_point`` as a point."""
+    rows = [text.split(" ") for text in texts]
+    for i in range(max(map(len, rows), default=0)):
+        parts = [row[i].partition(".") if i < len(row) else ("", "", "") for row in rows]
+        before, after = (max(len(part[side]) for part in parts) for side in (0, 2))
+        for row, (integer, point, fraction) in zip(rows, parts, strict=True):
+            if i < len(row):
+                missing_point = pad_point if after and not point else ""
+                missing = pad * (after - len(fraction))
+                row[i] = f"{pad * (before - len(integer))}{integer}{point}{missing_point}{fraction}{missing}"
+    return [" ".join(row) for row in rows]
+
+
+def align_for_page(texts: Sequence[str]) -> list[str]:
+    """As `align_decimals`, for a page whose digits are equally wide."""
+    return align_decimals(texts, FIGURE_SPACE, PUNCTUATION_SPACE)
 
 
 def format_verdict(measurement: Measurement) -> str:
-    """The verdict, with its reason where there is one."""
-    return f"{measurement.verdict}: {measurement.reason}" if measurement.reason else measurement.verdict
+    """The verdict, with its reason where there is one, or with what its interval does not hold."""
+    if measurement.reason:
+        return f"{measurement.verdict}: {measurement.reason}"
+    limitation = INTERVAL_LIMITATIONS.get(measurement.interval_from or "", "")
+    return f"{measurement.verdict}, {limitation}" if limitation else measurement.verdict
+
+
+def interval_title(sources: Iterable[str | None]) -> str:
+    """What intervals from these ``sources`` are called: 95 % is claimed only where one holds all known errors."""
+    known = {source for source in sources if source is not None}
+    return "95 % interval" if "fit" in known or not known else "interval"
+
+
+def recording_title(clip: str) -> str:
+    """What a recording is called: the folder of its clip.yaml, or the name of a file that is called otherwise."""
+    path = Path(clip)
+    return path.absolute().parent.name or path.stem if path.name == "clip.yaml" else path.stem
+
+
+def format_seen(times: Sequence[float] | None) -> str:
+    """When a vehicle was first and last seen, in seconds, for example ``0.0 to 2.6``."""
+    return NO_VALUE if times is None else " to ".join(format_number(time, 1) for time in times)
+
+
+def format_limit(limit: float, unit: str) -> str:
+    """A posted ``limit`` (m/s) in ``unit``, for example ``30 mph``."""
+    return f"{round(convert(limit, unit), 1):g} {unit}"
+
+
+def format_compliance(compliance: str | None, limit: float | None, unit: str) -> str:
+    """Whether a vehicle keeps the ``limit`` (m/s), for example ``over 30 mph``; NO_VALUE where that is not known."""
+    if compliance is None or limit is None:
+        return NO_VALUE
+    preposition = " at" if compliance == "undecided" else ""
+    return f"{compliance}{preposition} {format_limit(limit, unit)}"
+
+
+def count_compliance(compliance: Iterable[str | None]) -> str:
+    """How many vehicles keep the limit, in a sentence; empty where that is not known of any."""
+    counts = Counter(compliance)
+    if not counts["within"] + counts["over"] + counts["undecided"]:
+        return ""
+    text = f"{counts['within']} within the limit, {counts['over']} over it"
+    if counts["undecided"]:
+        text += f", {counts['undecided']} undecided, as the limit lies inside the 95 % interval"
+    return f"{text}."
 
 
 def coverage_factor(measurement: Measurement) -> float:
@@ -82,10 +179,6 @@ def coverage_factor(measurement: Measurement) -> float:
     NaN without an interval."""
     total = float(np.sqrt(np.nansum([measurement.random_std**2, measurement.systematic_std**2])))
     return (measurement.speed_hi - measurement.speed_lo) / 2 / total if total > 0 else math.nan
-
-
-def _decimals(half_width: float) -> int:
-    return 2 if half_width < 0.095 else 1  # 0.095 would show as 0.1
 
 
 def speed_at(measurement: Measurement, row: int) -> tuple[float, float]:
@@ -98,7 +191,7 @@ def speed_at(measurement: Measurement, row: int) -> tuple[float, float]:
 
 def distance_travelled(track: Track) -> float:
     """Metres along the tracked positions, NaN without two of them."""
-    return path_length(track.position[[status == "tracking" for status in track.status]])
+    return path_length(track.position[track.tracked])
 
 
 def path_length(points: Array) -> float:

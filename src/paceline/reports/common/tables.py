@@ -11,7 +11,7 @@ import numpy as np
 
 
 def format_cell(value: float) -> str:
-    """The shortest text that reads back as the same number."""
+    """The shortest text that reads back as the same number; empty where it is not finite."""
     return repr(float(value)) if math.isfinite(value) else ""
 
 

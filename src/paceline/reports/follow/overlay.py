@@ -22,7 +22,7 @@ from paceline.reports.common.drawing import (
     draw_text,
     scale_points,
 )
-from paceline.reports.common.formatting import NO_VALUE, format_number
+from paceline.reports.common.formatting import NO_VALUE, format_number, format_uncertain
 from paceline.reports.common.video import pad_to_even
 from paceline.units import COVERAGE_95
 
@@ -74,13 +74,13 @@ def format_status(e: FollowEstimate) -> str:
 
 
 def format_range(e: FollowEstimate) -> str:
-    """For example ``10.58 ± 0.05 m``, half of a 95 % interval; predicted values are marked."""
+    """For example ``10.583 ± 0.052 m``, half of a 95 % interval; predicted values are marked."""
     distance, half = float(e.position[2]), COVERAGE_95 * float(e.position_std[2])
     if not np.isfinite(distance):
         return NO_VALUE
     if e.status != "tracking":
         return f"about {format_number(distance, 1)} m, not measured"
-    return f"{format_number(distance, 2)} ± {format_number(half, 2)} m"
+    return f"{format_uncertain(distance, half)} m"
 
 
 def draw_estimate(view: Picture, e: FollowEstimate, scale: float, shift: Array | None = None) -> None:

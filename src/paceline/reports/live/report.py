@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,12 +20,19 @@ from paceline.reports.common.tables import json_text
 from paceline.reports.detected_vehicles import draw_detected_vehicle
 from paceline.reports.live.page import render_live_page
 from paceline.reports.live.plots import speeds_plot
-from paceline.reports.speed.tables import ESTIMATE_COLUMNS, estimate_rows, vehicle_summary
+from paceline.reports.speed.tables import (
+    ESTIMATE_COLUMNS,
+    PICTURES_FOLDER,
+    VEHICLE_COLUMNS,
+    estimate_rows,
+    vehicle_rows,
+    vehicle_summary,
+)
 from paceline.speed.configuration import DEFAULTS
 from paceline.speed.results import Measurement
 from paceline.verdicts import Message
 
-PICTURES_FOLDER = "pictures"
+LIVE_VEHICLE_COLUMNS = [*VEHICLE_COLUMNS, "seen_at"]
 LIVE_PICTURE_HEIGHT_PX, PICTURE_JPEG_QUALITY = 240, 80  # px, and of the JPEG
 MAX_WRITE_TIME_SHARE = 0.01  # of the time, for writing summary.json, which grows and is always written whole
 
@@ -34,9 +42,9 @@ class LiveResults:
     """The tables and pictures in the folder ``out``, from `begin` on, and the report when the context ends; ``about``
     holds the entries of summary.json besides the vehicles; ``unit`` is that of the report.
 
-    A vehicle is in estimates.csv from the moment that it is measured, and in summary.json soon after; what ends the
-    program later takes nothing away, and unless it is killed there is a report. Raises UnusableInput where ``out``
-    holds such tables already, or cannot be written.
+    A vehicle is in estimates.csv and vehicles.csv from the moment that it is measured, and in summary.json soon after;
+    what ends the program later takes nothing away, and unless it is killed there is a report. Raises UnusableInput
+    where ``out`` holds such tables already, or cannot be written.
     """
 
     out: Path
@@ -51,7 +59,7 @@ class LiveResults:
     _due: float = 0.0  # s, by the monotonic clock, from when on it may be written again
 
     def __post_init__(self) -> None:
-        for name in ("estimates.csv", "summary.json"):
+        for name in ("estimates.csv", "vehicles.csv", "summary.json"):
             if (self.out / name).exists():
                 raise UnusableInput(f"{self.out / name}: is there already; expected a new folder for a live survey")
 
@@ -69,18 +77,18 @@ class LiveResults:
 
     def begin(self) -> None:
         """Writes the tables without a vehicle."""
-        write_all_or_none({self.out / "estimates.csv": (",".join(ESTIMATE_COLUMNS) + "\n").encode(), **self._summary()})
+        headers = {"estimates.csv": ESTIMATE_COLUMNS, "vehicles.csv": LIVE_VEHICLE_COLUMNS}
+        tables = {self.out / name: (",".join(columns) + "\n").encode() for name, columns in headers.items()}
+        write_all_or_none({**tables, **self._summary()})
         self._begun = True
 
     def add(self, measurement: Measurement, detected: DetectedVehicle, seen_at: str) -> None:
         """Adds a vehicle that has been measured, and was first detected at the time of day ``seen_at``."""
-        file = self.out / "estimates.csv"
-        try:
-            with file.open("a", newline="", encoding="utf-8") as stream:
-                csv.writer(stream, lineterminator="\n").writerows(estimate_rows(measurement.track))
-        except OSError as error:
-            raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
-        self.vehicles.append({**vehicle_summary(measurement), **_passage_data(detected, seen_at)})
+        picture = f"{PICTURES_FOLDER}/{measurement.vehicle}.jpg"
+        vehicle = {**vehicle_summary(measurement, picture), **_passage_data(detected, seen_at)}
+        self._append("estimates.csv", estimate_rows(measurement.track))
+        self._append("vehicles.csv", vehicle_rows([vehicle], LIVE_VEHICLE_COLUMNS))
+        self.vehicles.append(vehicle)
         self._changed = True
         self._keep_picture(measurement.vehicle, detected)
         self.save()
@@ -90,6 +98,15 @@ class LiveResults:
         self.unmeasured.append({**_passage_data(detected, seen_at), "reason": reason, "reason_code": reason.code})
         self._changed = True
         self.save()
+
+    def _append(self, name: str, rows: Iterable[list[str]]) -> None:
+        """Adds ``rows`` to the table ``name``."""
+        file = self.out / name
+        try:
+            with file.open("a", newline="", encoding="utf-8") as stream:
+                csv.writer(stream, lineterminator="\n").writerows(rows)
+        except OSError as error:
+            raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
 
     def save(self) -> None:
         """Updates summary.json, unless its share of the time is used up."""

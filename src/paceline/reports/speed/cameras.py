@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from paceline.cameras import VIEW_NAMES
-from paceline.reports.common.formatting import NO_VALUE, format_number
+from paceline.reports.common.formatting import NO_VALUE, format_number, format_uncertain
 from paceline.units import COVERAGE_95
 
 
@@ -39,4 +39,4 @@ def _row(what: str, quantity: Mapping[str, Any], scale: float, unit: str) -> tup
     value, half_width = scale * quantity["value"], scale * COVERAGE_95 * quantity["std"]
     effect = quantity.get("speed_effect")  # 0 where no vehicle tells
     change = f"{format_number(100 * COVERAGE_95 * effect, 2)} %" if effect else NO_VALUE
-    return what, f"{format_number(value, 2)} ± {format_number(half_width, 2)} {unit}", str(quantity["source"]), change
+    return what, f"{format_uncertain(value, half_width)} {unit}", str(quantity["source"]), change

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +26,7 @@ from paceline.reports.common.drawing import (
     draw_text,
     scale_points,
 )
-from paceline.reports.common.formatting import format_interval, speed_at
+from paceline.reports.common.formatting import NO_VALUE, format_compliance, format_measurement
 from paceline.reports.common.video import VideoWriter, pad_to_even
 from paceline.speed.results import ClipResult, Measurement, Track
 
@@ -54,6 +55,11 @@ class StereoStill:
     time: float
     left: bytes
     right: bytes
+
+
+def middle_still(stills: Sequence[StereoStill]) -> StereoStill:
+    """The still in which a vehicle is recognised: neither the farthest one nor one at the image's edge."""
+    return stills[len(stills) // 2]
 
 
 @dataclass
@@ -111,15 +117,18 @@ class _Layer:
         tracked_rows = [row for row, status in enumerate(self.track.status) if status == "tracking"]
         self.still_rows = {tracked_rows[i] for i in (0, len(tracked_rows) // 2, -1)} if tracked_rows else set()
 
-    def label(self, row: int, unit: str) -> str:
-        if self.track.status[row] != "tracking":
-            return f"{self.track.vehicle}  {self.track.status[row]}"
-        speed, half = speed_at(self.measurement, row)
-        text = f"{self.track.vehicle}  {format_interval(speed, half, unit)} {unit}"
-        return text + "  (rejected)" if self.rejected else text
-
     def outline_color(self, row: int) -> Color:
         return self.color if self.track.status[row] == "tracking" else LOST_COLOR
+
+
+def format_label(measurement: Measurement, status: str, unit: str) -> str:
+    """The vehicle's speed, the same in every frame, and whether it keeps the limit; or, in a frame of another
+    ``status`` than ``tracking``, that."""
+    if status != "tracking" or measurement.verdict != "measured":
+        return f"{measurement.vehicle}  {status if status != 'tracking' else measurement.verdict}"
+    text = f"{measurement.vehicle}  {format_measurement(measurement, unit)} {unit}"
+    compliance = format_compliance(measurement.compliance, measurement.limit, unit)
+    return text if compliance == NO_VALUE else f"{text}, {compliance}"
 
 
 def _draw(result: ClipResult, layers: list[_Layer], frame: StereoFrame, views: tuple[Grey, Grey], unit: str) -> Picture:
@@ -167,7 +176,7 @@ def _draw_view(
             picture, scale_points((layer.track.particles_left, layer.track.particles_right)[side][row], scale)
         )
         draw_outline(picture, corners, color, thickness=1 if layer.rejected else 2)
-        labels.append((layer.label(row, unit), corners, color))
+        labels.append((format_label(layer.measurement, layer.track.status[row], unit), corners, color))
     label_boxes: list[Box] = []
     for text, corners, color in labels:  # last, so that no outline crosses a label
         above = float(corners[:, 0].min() + corners[:, 0].max()) / 2, float(corners[:, 1].min())

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from paceline.reports.common.formatting import (
+    INTERVAL_LIMITATIONS,
     NO_VALUE,
-    SpeedText,
+    IntervalText,
+    align_for_page,
+    count_compliance,
     distance_travelled,
-    format_interval,
+    format_compliance,
+    format_measurement,
     format_number,
-    format_speed,
-    format_speed_number,
+    format_parts,
+    format_seen,
+    format_uncertain,
+    interval_title,
     path_length,
+    recording_title,
     rejected_advice,
     speed_at,
 )
 from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
 from paceline.reports.speed.cameras import camera_rows
+from paceline.reports.speed.distribution import MANY_VEHICLES, Distribution, describe_distribution
 from paceline.reports.speed.overlay import StereoStill
+from paceline.reports.speed.vehicle_table import identifying_picture, section_anchor, vehicle_table
 from paceline.speed.results import ClipResult, Measurement
 from paceline.units import convert
 from paceline.verdicts import Message
@@ -43,10 +53,16 @@ def write_page(
     vehicles = [
         {
             "id": m.vehicle,
+            "anchor": section_anchor(i),
             "m": m,
-            "text": (text := format_speed(m, unit)),
-            "headline": _headline(m, text),
+            "text": (text := format_measurement(m, unit)),
+            "parts": format_parts(m, unit),
+            "limitation": INTERVAL_LIMITATIONS.get(m.interval_from or "", ""),
+            "compliance": format_compliance(m.compliance, m.limit, unit),
+            "headline": _headline(m, text, unit),
             "assumed": _is_calibration_assumed(m),
+            "passage": _passage(m),
+            "picture": identifying_picture(stills[m.vehicle]),
             "color": colors[m.vehicle],
             "advice": rejected_advice(m.reason_code),
             "facts": _facts(m, unit),
@@ -54,14 +70,20 @@ def write_page(
             "plots": plots[m.vehicle],
             "rows": _rows(m, unit),
         }
-        for m in result.measurements
+        for i, m in enumerate(result.measurements)
     ]
+    is_survey = len(vehicles) > MANY_VEHICLES
     html = render(
         "speed/page.html.j2",
         result=result,
+        fitted=interval_title(m.interval_from for m in result.measurements) != "interval",
+        title=recording_title(result.clip),
         unit=unit,
         vehicles=vehicles,
         measured=sum(m.verdict == "measured" for m in result.measurements),
+        table=vehicle_table(result.measurements, stills, unit) if is_survey else None,
+        distribution=_distribution(result.measurements, unit),
+        compliance=count_compliance(m.compliance for m in result.measurements),
         plan=plan,
         overlay=overlay,
         paths=[(path.name, format_number(path_length(path.points), 1)) for path in result.paths],
@@ -73,11 +95,27 @@ def write_page(
     file.write_text(html, encoding="utf-8")
 
 
-def _headline(measurement: Measurement, text: SpeedText) -> str:
+def _passage(measurement: Measurement) -> str:
+    """Lane, direction and time of a vehicle in one line."""
+    period = format_seen(measurement.seen)
+    parts = (measurement.path, measurement.travel, None if period == NO_VALUE else f"{period} s")
+    return ", ".join(part for part in parts if part)
+
+
+def _distribution(measurements: Sequence[Measurement], unit: str) -> Distribution | None:
+    measured = [m for m in measurements if m.verdict == "measured"]
+    limits = {m.limit for m in measured}
+    return describe_distribution(
+        np.array([m.speed for m in measured]), unit, limits.pop() if len(limits) == 1 else None
+    )
+
+
+def _headline(measurement: Measurement, text: IntervalText, unit: str) -> str:
     """The result in one line."""
     if measurement.verdict != "measured":
         return f"Rejected: {measurement.reason}"
-    return f"{text.speed} {text.unit}, 95 % interval {text.lo} to {text.hi} {text.unit}"
+    title = INTERVAL_LIMITATIONS.get(measurement.interval_from or "", "95 % interval")
+    return f"{text} {unit}, {title} {text.ends} {unit}"
 
 
 def _is_calibration_assumed(measurement: Measurement) -> bool:
@@ -87,7 +125,7 @@ def _is_calibration_assumed(measurement: Measurement) -> bool:
 
 def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
     track = measurement.track
-    tracked = np.array([status == "tracking" for status in track.status], bool)
+    tracked = track.tracked
     seconds = float(np.ptp(track.time[tracked])) if tracked.any() else 0.0
     depth = track.position[tracked, 2]
     facts = [
@@ -110,19 +148,18 @@ def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
 def _rows(measurement: Measurement, unit: str) -> list[list[str]]:
     """The table of frames as text."""
     track = measurement.track
-    rows = []
-    for i, status in enumerate(track.status):
-        best, half = speed_at(measurement, i)
-        spread = float(track.speed_std[i])
-        rows.append(
-            [
-                str(track.frame[i]),
-                f"{track.time[i]:.3f}",
-                status,
-                format_interval(best, half, unit),
-                f"{format_speed_number(float(track.speed[i]), unit)} ± {format_speed_number(2 * spread, unit)}",
-                format_number(float(track.position[i, 2]), 2),
-                format_number(float(track.ess[i]), 0),
-            ]
-        )
-    return rows
+    speeds = [format_uncertain(*(convert(v, unit) for v in speed_at(measurement, i))) for i in range(len(track.frame))]
+    filtered = [
+        format_uncertain(convert(speed, unit), convert(2 * spread, unit))
+        for speed, spread in zip(track.speed.tolist(), track.speed_std.tolist(), strict=True)
+    ]
+    columns = (
+        [str(frame) for frame in track.frame],
+        [f"{time:.3f}" for time in track.time],
+        track.status,
+        align_for_page(speeds),
+        align_for_page(filtered),
+        [format_number(float(z), 2) for z in track.position[:, 2]],
+        [format_number(float(ess), 0) for ess in track.ess],
+    )
+    return [list(row) for row in zip(*columns, strict=True)]

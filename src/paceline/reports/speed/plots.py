@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paceline.arrays import Array
-from paceline.reports.common.formatting import coverage_factor
+from paceline.reports.common.formatting import coverage_factor, interval_title
 from paceline.reports.common.plots import (
     FILTER_COLOR,
     INK_COLOR,
@@ -65,7 +65,7 @@ def _draw_speed(figure: Figure, measurement: Measurement, unit: str) -> None:
         lo, hi = convert(measurement.speed_lo, unit), convert(measurement.speed_hi, unit)
         for value in (lo, hi):
             axes.axhline(value, color=INTERVAL_COLOR, lw=1.1, ls=(0, (4, 2)))
-        axes.lines[-1].set_label("mean speed, 95 % interval")
+        axes.lines[-1].set_label(f"mean speed, {interval_title([measurement.interval_from])}")
         visible.append(np.array([lo, hi]))
     _limit_y(axes, np.concatenate(visible), mean - spread, mean + spread)
     _label_time(axes, track)

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from paceline.recordings.stereo import StereoRecording
 from paceline.reports.common.output_folder import OutputFolder
 from paceline.reports.common.plots import VEHICLE_COLORS
-from paceline.reports.speed.overlay import write_overlay
+from paceline.reports.speed.overlay import StereoStill, middle_still, write_overlay
 from paceline.reports.speed.page import write_page
 from paceline.reports.speed.plots import plan_plot, vehicle_plots
-from paceline.reports.speed.tables import write_estimates, write_summary
+from paceline.reports.speed.tables import (
+    PICTURES_FOLDER,
+    vehicle_summary,
+    write_estimates,
+    write_summary,
+    write_vehicles,
+)
 from paceline.speed.configuration import DEFAULTS
 from paceline.speed.results import ClipResult
 
@@ -42,15 +49,19 @@ def write_files(
     drawn = write_overlay(result, recording, folder / "overlay.mp4" if overlay else None, unit, colors)
     result = dataclasses.replace(result, notices=result.notices + drawn.notices)
     write_estimates(result, folder / "estimates.csv")
-    write_summary(result, folder / "summary.json")
+    stems = dict(zip(colors, _file_stems(list(colors)), strict=True))
+    pictures = _write_pictures(drawn.stills, stems, folder)
+    entries = [vehicle_summary(m, pictures.get(m.vehicle)) for m in result.measurements]
+    write_summary(result, entries, folder / "summary.json")
+    write_vehicles(entries, folder / "vehicles.csv")
 
     plan = plan_plot(result, colors)
     plots = {m.vehicle: vehicle_plots(m, unit, colors[m.vehicle]) for m in result.measurements}
     (folder / "plots").mkdir(exist_ok=True)
     (folder / "plots" / "plan.png").write_bytes(plan.png)
-    for stem, drawings in zip(_file_stems(list(plots)), plots.values(), strict=True):
+    for vehicle, drawings in plots.items():
         for plot in drawings:
-            (folder / "plots" / f"{stem}-{plot.name}.png").write_bytes(plot.png)
+            (folder / "plots" / f"{stems[vehicle]}-{plot.name}.png").write_bytes(plot.png)
     write_page(
         result,
         folder / "report.html",
@@ -62,6 +73,18 @@ def write_files(
         overlay=overlay,
     )
     return result
+
+
+def _write_pictures(
+    stills: Mapping[str, Sequence[StereoStill]], stems: Mapping[str, str], folder: Path
+) -> dict[str, str]:
+    """Writes a picture of each vehicle that has stills; returns their names in the ``folder``."""
+    names = {vehicle: f"{PICTURES_FOLDER}/{stems[vehicle]}.jpg" for vehicle, shown in stills.items() if shown}
+    if names:
+        (folder / PICTURES_FOLDER).mkdir(exist_ok=True)
+    for vehicle, name in names.items():
+        (folder / name).write_bytes(middle_still(stills[vehicle]).left)
+    return names
 
 
 def _file_stems(vehicles: list[str]) -> list[str]:

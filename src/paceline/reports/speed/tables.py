@@ -10,13 +10,17 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.reports.common.tables import format_cell, write_json
-from paceline.speed.results import ClipResult, Measurement, Track
+from paceline.speed.results import SUMMARY_COLUMNS, ClipResult, Measurement, Track
 
 ESTIMATE_COLUMNS = [
     "vehicle", "frame", "time_s", "speed_mps", "speed_std_mps", "x_m", "y_m", "z_m", "yaw_rate_radps",
     *(f"{view}_{axis}{corner}" for view in ("left", "right") for corner in (1, 2, 3, 4) for axis in "xy"),
     "ess", "status", "refined_speed_mps", "refined_std_mps",
 ]  # fmt: skip
+
+
+PICTURES_FOLDER = "pictures"  # of the output folder, with a picture of each vehicle
+VEHICLE_COLUMNS = [*SUMMARY_COLUMNS, "picture"]
 
 
 def write_estimates(result: ClipResult, file: Path) -> None:
@@ -40,11 +44,11 @@ def estimate_rows(track: Track) -> Iterator[list[str]]:
         ]  # fmt: skip
 
 
-def write_summary(result: ClipResult, file: Path) -> None:
-    """Writes summary.json: a verdict per vehicle, the resolved configuration and the versions."""
+def write_summary(result: ClipResult, vehicles: Sequence[Mapping[str, object]], file: Path) -> None:
+    """Writes summary.json: an entry for each of the ``vehicles``, the resolved configuration and the versions."""
     summary = {
         "clip": result.clip,
-        "vehicles": [vehicle_summary(m) for m in result.measurements],
+        "vehicles": vehicles,
         "notices": result.notices,
         "cameras": result.cameras,
         "configuration": result.configuration,
@@ -54,9 +58,26 @@ def write_summary(result: ClipResult, file: Path) -> None:
     write_json(summary, file)
 
 
-def vehicle_summary(measurement: Measurement) -> dict[str, object]:
-    """The entry of one vehicle in summary.json."""
-    return measurement.summary()
+def vehicle_summary(measurement: Measurement, picture: str | None) -> dict[str, object]:
+    """The entry of one vehicle in summary.json; ``picture`` is the name of its picture in the output folder."""
+    return {**measurement.summary(), "picture": picture}
+
+
+def vehicle_rows(vehicles: Sequence[Mapping[str, object]], columns: Sequence[str]) -> list[list[str]]:
+    """The rows of vehicles.csv for entries of summary.json: the values of ``columns``."""
+    return [[_cell(vehicle[column]) for column in columns] for vehicle in vehicles]
+
+
+def write_vehicles(vehicles: Sequence[Mapping[str, object]], file: Path) -> None:
+    """Writes vehicles.csv: one row per vehicle, an empty cell where there is nothing."""
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([VEHICLE_COLUMNS, *vehicle_rows(vehicles, VEHICLE_COLUMNS)])
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return format_cell(value)
+    return "" if value is None else str(value)
 
 
 def summary_column(vehicles: Sequence[Mapping[str, object]], key: str) -> Array:
