@@ -95,14 +95,14 @@ def on_own_plane(detection: Detection, x: Span) -> Detection | None:
     an end of the range of planes."""
     reach = detection.distance_error(*SIDE_RANGE_M_PX)
     ahead = np.linspace(-reach, reach, SIDE_STEPS)
-    places = detection.s + ahead
-    areas = [_consistent_area(detection, float(s), _moved(detection, float(s), x)) for s in places]
+    matches = [_Match.of(detection, float(s), _moved(detection, float(s), x)) for s in detection.s + ahead]
+    areas = [match.area for match in matches]
     best = int(np.argmax(areas))
     if not 0 < best < SIDE_STEPS - 1 or not areas[best] > 0.0:
         return None
-    s = float(places[best] + parabola_peak_at(np.array(areas), best) * (ahead[1] - ahead[0]))
-    own = _moved(detection, s, x)
-    return replace(detection, s=s, x=own, area=areas[best], upright_ratio=_upright_ratio(detection, s, own))
+    s = float(matches[best].s + parabola_peak_at(np.array(areas), best) * (ahead[1] - ahead[0]))
+    ratio = matches[best].upright_ratio(detection)
+    return replace(detection, s=s, x=_moved(detection, s, x), area=areas[best], upright_ratio=ratio)
 
 
 def _moved(detection: Detection, s: float, x: Span) -> Span:
@@ -113,20 +113,25 @@ def _moved(detection: Detection, s: float, x: Span) -> Span:
     return float(points[0, 0] / points[0, 2]), float(points[1, 0] / points[1, 2])
 
 
-def _consistency(detection: Detection, s: float, x: Span) -> tuple[LocalStatistics, LocalStatistics, Image]:
-    """Both views on the plane at ``s``, and their consistency between ``x`` m, 0 to 1."""
-    left, right = (LocalStatistics(view, FINE_NCC_WINDOW) for view in detection.warp(s, GAP_GRID, np.zeros(2)))
-    return left, right, photo_consistency(left, right) * ((GAP_GRID.x >= x[0]) & (GAP_GRID.x <= x[1]))
+@dataclass(frozen=True, eq=False)
+class _Match:
+    """The views of a detection compared between two columns on the plane at ``s``: the ``left`` one, the
+    ``consistency`` of each cell, 0 to 1, and the ``area`` (m²) that is consistent and not even paint."""
 
+    s: float
+    left: LocalStatistics
+    consistency: Image
+    area: float
 
-def _consistent_area(detection: Detection, s: float, x: Span) -> float:
-    left, right, consistency = _consistency(detection, s, x)
-    textured = np.minimum(left.std, right.std) > MIN_SIDE_TEXTURE_GREY
-    return float((consistency * textured).sum()) * GAP_GRID.cell**2
+    @staticmethod
+    def of(detection: Detection, s: float, x: Span) -> _Match:
+        """The match of what is between ``x`` m."""
+        left, right = (LocalStatistics(view, FINE_NCC_WINDOW) for view in detection.warp(s, GAP_GRID, np.zeros(2)))
+        consistency = photo_consistency(left, right) * ((GAP_GRID.x >= x[0]) & (GAP_GRID.x <= x[1]))
+        textured = np.minimum(left.std, right.std) > MIN_SIDE_TEXTURE_GREY
+        return _Match(s, left, consistency, float((consistency * textured).sum()) * GAP_GRID.cell**2)
 
-
-def _upright_ratio(detection: Detection, s: float, x: Span) -> float:
-    """As `Detection.upright_ratio`, of what is between ``x`` m on the plane at ``s``."""
-    left, _, consistency = _consistency(detection, s, x)
-    on_road = LocalStatistics(detection.warp_on_road(s, GAP_GRID, np.zeros(2)), FINE_NCC_WINDOW)
-    return float(upright_ratio(consistency, local_ncc(left, on_road), left.std))
+    def upright_ratio(self, detection: Detection) -> float:
+        """As `Detection.upright_ratio`, of what was compared."""
+        on_road = LocalStatistics(detection.warp_on_road(self.s, GAP_GRID, np.zeros(2)), FINE_NCC_WINDOW)
+        return float(upright_ratio(self.consistency, local_ncc(self.left, on_road), self.left.std))

@@ -103,25 +103,25 @@ class Detection:
 
     def warp(self, s: float, grid: PlaneGrid, origin: Array) -> tuple[Image, Image]:
         """Both crops warped to the plane at ``s``, on ``grid`` moved to ``origin`` (2,) m."""
-        return self._warp(self._pyramids, self.lane.homographies(s), grid, origin)
+        left, right = self.lane.homographies(s)
+        return self._warp(self._pyramids, 0, left, grid, origin), self._warp(self._pyramids, 1, right, grid, origin)
 
     def warp_on_road(self, s: float, grid: PlaneGrid, origin: Array) -> Image:
         """As `warp`, of the right view only, where what the left one shows there lies on the road."""
-        return self._warp(self._pyramids, on_road(self.lane, s), grid, origin)[1]
+        return self._warp(self._pyramids, 1, on_road(self.lane, s)[1], grid, origin)
 
     def warp_background(self, s: float, grid: PlaneGrid, origin: Array) -> tuple[Image, Image]:
         """As `warp`, of the background."""
-        return self._warp(self._background_pyramids, self.lane.homographies(s), grid, origin)
+        left, right = self.lane.homographies(s)
+        empty = self._background_pyramids
+        return self._warp(empty, 0, left, grid, origin), self._warp(empty, 1, right, grid, origin)
 
-    def _warp(
-        self, views: list[list[Image]], homographies: tuple[Array, Array], grid: PlaneGrid, origin: Array
-    ) -> tuple[Image, Image]:
+    def _warp(self, views: list[list[Image]], side: int, homography: Array, grid: PlaneGrid, origin: Array) -> Image:
+        """One of the ``views``, 0 or 1, that sees ``grid`` moved to ``origin`` through a ``homography`` (3, 3)."""
         move = np.array([[1, 0, origin[0]], [0, 1, origin[1]], [0, 0, 1.0]])
-        images = []
-        for levels, corner, H in zip(views, self.crop_origins, homographies, strict=True):
-            to_crop = np.array([[1, 0, -corner[0]], [0, 1, -corner[1]], [0, 0, 1.0]])
-            images.append(warp_to_plane(levels, to_crop @ H @ move, grid))
-        return images[0], images[1]
+        corner = self.crop_origins[side]
+        to_crop = np.array([[1, 0, -corner[0]], [0, 1, -corner[1]], [0, 0, 1.0]])
+        return warp_to_plane(views[side], to_crop @ homography @ move, grid)
 
 
 def distance_error(lane: LanePath, depth: float, min_m: float, pixels: float) -> float:
