@@ -30,7 +30,7 @@ Number = TypeVar("Number", bound=np.generic)
 MAX_REGISTRATION_ITERATIONS = 8
 COARSE_LEVELS = (6.0, 2.5)  # smoothing in grid steps, for searches that start farther away
 CONVERGED_STEP_CHI2 = 0.1  # squared standard deviations of the last step; the next one is quadratically smaller
-YAW_STD_RAD = 0.1  # prior standard deviation of how far the plane has turned beyond what is expected
+UNEXPECTED_YAW_STD_RAD = 0.1  # prior standard deviation of how far the plane has turned beyond what is expected
 VIEW_GAIN_RANGE = (0.2, 5.0)
 MAX_DEPTH_SHIFT_SIGMA = 5.0  # greatest shift in standard deviations of the outline's depth
 NOISE_CORRELATED_SAMPLES = 4.0  # number of neighbouring samples that share their noise
@@ -133,7 +133,7 @@ def register(
     shift, x, w = np.zeros(3), np.zeros(k), np.ones((V, parts))  # x: shifts along the directions, and the yaw
     prior = np.zeros((k, k))
     if with_yaw:
-        prior[-1, -1] = NOISE_CORRELATED_SAMPLES / YAW_STD_RAD**2
+        prior[-1, -1] = NOISE_CORRELATED_SAMPLES / UNEXPECTED_YAW_STD_RAD**2
     sampled, JJ, JT, JI = np.empty((V, parts, samples)), np.empty((V, parts, k, k)), *np.empty((2, V, parts, k))
     TI, II = np.empty((2, V, parts))
     normal, scores = np.empty((k, k)), np.empty((V, parts, k))
