@@ -180,6 +180,8 @@ def test_the_page_is_complete_and_self_contained(out: Path) -> None:
 def test_the_page_in_a_browser(out: Path, tmp_path: Path) -> None:
     text, shot, asked = browse(out / "report.html", tmp_path)
     assert "tracked in 83.3 %" in text
+    assert "The small van, 2.00 ± 0.02 m wide (± assumed)" in text and "by ± 1.0 %." in text
+    assert "Steering angle: towards the lead itself" in text and "indicates a tracking error" not in text
     assert cv2.imread(str(shot)).std() > 10
     assert not asked
 
