@@ -98,7 +98,7 @@ def test_a_motion_off_the_outline_in_the_other_view_is_rejected() -> None:
     assert check_outline(moving_with(OUTLINE), OUTLINE + [3.0, 0.0], 1.0) == ""
 
 
-@pytest.mark.parametrize(("hidden", "reason"), [(3, ""), (4, "residuals: none of the first 4 frames")])
+@pytest.mark.parametrize(("hidden", "reason"), [(1, ""), (2, "residuals: none of the first 2 frames")])
 def test_a_motion_inconsistent_in_the_first_frames_is_rejected(hidden: int, reason: str) -> None:
     """An occluder that was followed for longer than the vehicle."""
     r = refined([0.1] * hidden + [0.9] * 20)

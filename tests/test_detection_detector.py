@@ -375,7 +375,7 @@ def test_outlier_at_the_start_does_not_bend_the_motion(off: float) -> None:
 def test_travel_is_the_distance_driven(speed: float, n: int, seed: int) -> None:
     noise = np.random.default_rng(seed).normal(0, 0.02, n)
     track = DetectionTrack(arc_lengths=(speed * 0.1 * np.arange(n) + noise).tolist())
-    assert track.travel == pytest.approx(speed * 0.1 * (n - 1), abs=0.2 + 0.05 * abs(speed))
+    assert track.motion.travel == pytest.approx(speed * 0.1 * (n - 1), abs=0.2 + 0.05 * abs(speed))
 
 
 def test_origin_of_a_face_on_the_planes_of_another_lane() -> None:

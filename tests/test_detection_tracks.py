@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from test_detection_detector import detection, driven, outlined
 
 from paceline.detection.finder import DuplicateFilter, continued_by, is_vehicle, without_outline
@@ -26,10 +27,10 @@ def test_vehicle_is_steadier_than_two_swaying_objects(seed: int, v: float, a: fl
     rng = np.random.default_rng(seed)
     times = np.sort(rng.choice(40, n, replace=False)) / 10
     driving = driven(times, 5.0 + v * times + 0.5 * a * times**2)
-    assert driving.unsteadiness < 1e-6
+    assert driving.motion.unsteadiness < 1e-6
     change = rng.integers(1, n)
     swaying = driven(times, np.where(np.arange(n) < change, 29.0, 29.0 + v))
-    assert swaying.unsteadiness > 1e3
+    assert swaying.motion.unsteadiness > 1e3
 
 
 def test_two_bushes_in_the_wind_are_no_vehicle() -> None:
@@ -48,8 +49,8 @@ def test_short_but_smooth_track_is_a_vehicle(metres: float, off: float) -> None:
     pixel = driven(t[:3], 29.0 + t[:3]).kept[1].distance_error(0.0, 1.0)
     for _ in range(50):
         track = driven(t, 29.0 + metres / t[-1] * t + rng.normal(0, off * pixel, len(t)))
-        assert track.roughness_px == pytest.approx(off, abs=0.15)
-        assert track.unsteadiness < 1.1
+        assert track.motion.roughness_px == pytest.approx(off, abs=0.15)
+        assert track.motion.unsteadiness < 1.1
         found += is_vehicle(track)
     assert found > 40
 
@@ -104,7 +105,7 @@ def test_what_begins_far_behind_where_a_vehicle_was_lost_is_another_one() -> Non
     lost, next_one = driven(times, 4 + 13 * times), driven(times + 2.2, 6 + 13 * times)
     continuation = driven(times + 2.2, 4 + 13 * (times + 2.2))
     for track in (lost, next_one, continuation):
-        track.errors = [7.0] * len(times)
+        track.pixels = [7.0 / 1.5] * len(times)
     assert not lost.same_vehicle(next_one) and not next_one.same_vehicle(lost)
     assert lost.same_vehicle(continuation) and continuation.same_vehicle(lost)
 
@@ -187,3 +188,36 @@ def test_vehicle_without_outline_is_no_duplicate() -> None:
     track, register = driven(times, 4 + 15 * times), DuplicateFilter()
     assert register.is_new(track, without_outline(track, "too small"))
     assert register.is_new(track, replace(without_outline(track, ""), vehicle=outlined(2)))
+
+
+def standing(times: NDArray[np.float64], drives_off: bool = False) -> NDArray[np.float64]:
+    """Places of what drives up for 3 s and then stands 29 m along the lane, for 9 s or, if it ``drives_off``, for 6."""
+    braking = 29.0 - 1.5 * np.maximum(3.0 - times, 0.0) ** 2
+    return braking + drives_off * 1.2 * np.maximum(times - 9.0, 0.0) ** 2
+
+
+@pytest.mark.parametrize("drives_off", [False, True])
+def test_a_vehicle_that_stands_for_most_of_the_time_is_one(drives_off: bool) -> None:
+    """Its places are told by the time in which it drives, which is all that is kept of it."""
+    times, rng = np.arange(120) / 10, np.random.default_rng(2)
+    s = standing(times, drives_off) + rng.normal(0.0, 0.1, len(times))
+    track = driven(times, s)
+    assert is_vehicle(track) and track.motion.stands() and track.motion.drives()
+    assert all(d.time < 4.5 or d.time > 9.0 for d in track.kept)
+    assert is_vehicle(driven(times, s[::-1]))  # as one that stood first
+
+
+def test_what_only_sways_between_stands_is_no_vehicle() -> None:
+    times, rng = np.arange(120) / 10, np.random.default_rng(3)
+    for jump in (3.0, 9.0):
+        s = np.where(times < 6.0, 29.0, 29.0 + jump) + rng.normal(0.0, 0.1, len(times))
+        assert not is_vehicle(driven(times, s))
+
+
+def test_a_vehicle_that_stood_until_it_was_background_is_the_one_that_drives_off() -> None:
+    times = np.arange(40) / 10
+    came, left, beside = driven(times, standing(times)), driven(times + 60, 29 + 1.2 * times**2), (1.8, 3.4)
+    assert came.same_vehicle(left) and left.same_vehicle(came)
+    assert not came.same_vehicle(driven(times + 60, 15 + 1.2 * times**2))  # the one behind it
+    assert not came.same_vehicle(driven(times + 60, 29 + 8.0 * times))  # that would have driven through it
+    assert not came.same_vehicle(driven(times + 60, 29 + 1.2 * times**2, beside))

@@ -93,7 +93,7 @@ def live_line_writer(rig: StereoRig) -> Callable[[RawPair, list[DetectionTrack]]
             lane_counts[lane] += 1
             name = lane if lane_counts[lane] == 1 else f"{lane} ({lane_counts[lane]})"
             outlines = [c.distort_points(o) for c, o in zip(rig.cameras, last_outline(track), strict=True)]
-            speed = abs(track.speed)
+            speed = abs(track.motion.speed)
             _write_line(format_estimate(name, pair.index, pair.time, speed, float("nan"), "seen", outlines))
         pictures = small_jpegs(pair.left, pair.right)
         _write_line(format_pictures(pair.index, pair.time, rig.left.image_size, pictures))

@@ -23,6 +23,7 @@ from paceline.detection.planar_face import (
     similarity,
     with_visible_face,
 )
+from paceline.detection.track_motion import MIN_TRAVEL_M_PX, TrackMotion
 from paceline.detection.tracks import DetectionTrack, TrackAssociator, motion_residuals
 from paceline.documents.loading import VehicleDocument
 from paceline.recordings.stereo import StereoFrame
@@ -50,7 +51,7 @@ MIN_TRACK_UPRIGHT_RATIO = 2.5
 MOTION_ERROR_M_PX = 1.0, 1.0  # greatest error of an aligned detection along the lane, m, or px of disparity if more
 MAX_COUNTED_RESIDUAL = 2.0  # in such errors, up to which a residual counts against a motion
 IGNORED_ERROR_FACTOR = 1e3  # by which the error of a detection is multiplied that shall not influence the motion
-RECENT_VEHICLES = 8  # number of latest vehicles to which a further track may belong
+RECENT_VEHICLES = 8  # number of latest vehicles in a lane to which a further track may belong
 MIN_SIMILARITY_RATIO = 0.9  # of the frame of the outline to the median: nothing hides the face there
 MIN_BORDER_PX = 4.0  # least distance between an outline and the edge of the image
 
@@ -136,39 +137,48 @@ class VehicleFinder:
 
 
 class DuplicateFilter:
-    """The last vehicles that were found, so that none is reported twice: at night two lamps, or the glow about a lamp
-    and the lamp, may be followed by a track each."""
+    """The last vehicles that were found in each lane, so that none is reported twice: at night two lamps, or the glow
+    about a lamp and the lamp, may be followed by a track each, and what stands for long is found again."""
 
     def __init__(self) -> None:
-        self._recent: deque[DetectionTrack] = deque(maxlen=RECENT_VEHICLES)
+        self._recent: dict[LanePath, deque[DetectionTrack]] = {}
 
     def is_new(self, track: DetectionTrack, detected: DetectedVehicle) -> bool:
         """Whether the vehicle ``detected`` on a ``track`` is none of those; one with an outline is added to them."""
-        if any(track.same_vehicle(other) for other in self._recent):
+        if any(track.same_vehicle(other) for recent in self._recent.values() for other in recent):
             return False
         if detected.vehicle is not None:
-            self._recent.append(track)
+            self._recent.setdefault(track.first.lane, deque(maxlen=RECENT_VEHICLES)).append(track)
         return True
 
 
 def is_vehicle(track: DetectionTrack) -> bool:
-    """Whether what was tracked is upright and large enough, and drives along its lane."""
-    if not track.is_moving:
-        return False
-    count = len(track.times)
-    area = float(np.median(track.areas)) * np.sqrt(min(count, MAX_COUNTED_DETECTIONS))
-    if count < max(MIN_DETECTIONS + track.frames_missed / 2, track.frames_missed) or area < MIN_VEHICLE_AREA_M2:
-        return False
-    upright_ratio = float(np.median(track.upright_ratios))
-    is_low = _height(track) < MIN_VEHICLE_HEIGHT_M
-    if upright_ratio < MIN_TRACK_UPRIGHT_RATIO or (is_low and upright_ratio < MIN_LOW_UPRIGHT_RATIO):
+    """Whether what was tracked is upright and large enough, and drives along its lane, all the time or between two
+    stands."""
+    if len(track.times) < max(MIN_DETECTIONS + track.frames_missed / 2, track.frames_missed):
         return False
     offsets = np.abs([s.lateral_offset for s in track.kept])
     nearest = float(np.quantile(offsets, LATERAL_OFFSET_QUANTILE))
     if nearest > MAX_LATERAL_OFFSET_M or len(with_visible_face(track)) < 2:
         return False
-    smooth = count >= MIN_SMOOTH_DETECTIONS and track.roughness_px < MAX_SMOOTH_ROUGHNESS_PX
-    return track.unsteadiness < (1.0 if smooth else MAX_UNSTEADINESS[abs(track.travel) > LONG_TRAVEL_M])
+    motion = track.motion
+    parts = [slice(0, len(track.times))] * motion.exceeds(MIN_TRAVEL_M_PX) + motion.drives()
+    return any(_is_upright(track, part) and _drives(motion.part(part)) for part in parts)
+
+
+def _is_upright(track: DetectionTrack, part: slice) -> bool:
+    """Whether a ``part`` of the detections of a ``track`` is of something upright that is large enough."""
+    areas, ratios = track.areas[part], track.upright_ratios[part]
+    area = float(np.median(areas)) * np.sqrt(min(len(areas), MAX_COUNTED_DETECTIONS))
+    upright_ratio, is_low = float(np.median(ratios)), _height(track) < MIN_VEHICLE_HEIGHT_M
+    least = max(MIN_TRACK_UPRIGHT_RATIO, MIN_LOW_UPRIGHT_RATIO if is_low else 0.0)
+    return len(areas) >= MIN_DETECTIONS and area >= MIN_VEHICLE_AREA_M2 and upright_ratio >= least
+
+
+def _drives(motion: TrackMotion) -> bool:
+    """Whether a ``motion`` that covers some distance is that of a vehicle."""
+    smooth = len(motion.times) >= MIN_SMOOTH_DETECTIONS and motion.roughness_px < MAX_SMOOTH_ROUGHNESS_PX
+    return motion.unsteadiness < (1.0 if smooth else MAX_UNSTEADINESS[abs(motion.travel) > LONG_TRAVEL_M])
 
 
 def vehicles_of(track: DetectionTrack) -> list[DetectionTrack]:

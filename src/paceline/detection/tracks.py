@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, field
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.detection.detector import FINE_GRID, Detection
 from paceline.detection.lane_paths import LanePath
+from paceline.detection.track_motion import MIN_STAND_S, MIN_TRAVEL_M_PX, STAND_REACH_M_PX, TrackMotion
 from paceline.robust_line import theil_sen_slope
 from paceline.speed.configuration import DEFAULT_LIMITS
 
@@ -19,8 +21,7 @@ MIN_PREDICTABLE_DETECTIONS, MAX_PREDICTABLE_GAP_S = 3, 1.0
 MAX_LATERAL_STEP_M = 1.3  # from one detection to the next,
 MAX_LATERAL_GAP_M = 0.5  # or between what is seen of a vehicle on either side of a pole
 POSITION_ERROR_M_PX = 2.5, 1.5  # greatest error of a detection along the lane, m, or px of disparity if that is more
-MIN_TRAVEL_M_PX = 1.5, 1.5  # along the lane, m, or px of disparity if that is more: what travels less is stationary
-MAX_ACCELERATION_MPS2 = 8.0
+MAX_ACCELERATION_MPS2, BRAKING_MPS2 = 8.0, 3.0  # at most, and before a light
 MAX_COMPARED_HEIGHT_M = 1.3  # height up to which faces are compared: windscreens reflect the surroundings
 MAX_COMPARISON_SHIFT_M = 0.35  # greatest shift of a face on its plane in the comparison
 MAX_UNSEEN_FRAMES, MAX_UNSEEN_S = 3, 0.7  # a track that exceeds both has ended,
@@ -38,32 +39,35 @@ MAX_KEPT_DETECTIONS = 12  # evenly spread detections that are kept of a track
 @dataclass(eq=False)
 class DetectionTrack:
     """The detections of one vehicle in order of time; ``kept`` are evenly spread ones from the first to about the
-    last."""
+    last, without those in which it stands, that all show the same."""
 
     arc_lengths: list[float] = field(default_factory=list)  # m along the lane of the first detection
     times: list[float] = field(default_factory=list)
     areas: list[float] = field(default_factory=list)
     upright_ratios: list[float] = field(default_factory=list)
     positions: list[Array] = field(default_factory=list)  # world points (3,)
-    errors: list[float] = field(default_factory=list)  # greatest error along the lane, m
+    pixels: list[float] = field(default_factory=list)  # m along the lane that correspond to a pixel of disparity
     kept: list[Detection] = field(default_factory=list)
     last: Detection | None = None
     frames_unseen: int = 0  # since the last detection
     frames_missed: int = 0  # between the first and the last detection
     beside: DetectionTrack | None = None  # the vehicle abreast, from which a gap separates this one
+    _driving: int = 0  # detections in which it does not stand
     _stride: int = 1
 
     def add(self, detection: Detection) -> None:
-        if len(self.times) % self._stride == 0:
-            self.kept.append(detection)
-            if len(self.kept) > MAX_KEPT_DETECTIONS:
-                self.kept, self._stride = self.kept[::2], 2 * self._stride
         self.arc_lengths.append(self.arc_length(detection))
         self.times.append(detection.time)
+        self.pixels.append(detection.distance_error(0.0, 1.0))
+        if not self._stands:
+            if self._driving % self._stride == 0:
+                self.kept.append(detection)
+                if len(self.kept) > MAX_KEPT_DETECTIONS:
+                    self.kept, self._stride = self.kept[::2], 2 * self._stride
+            self._driving += 1
         self.areas.append(detection.area)
         self.upright_ratios.append(detection.upright_ratio)
         self.positions.append(detection.position)
-        self.errors.append(detection.distance_error(*POSITION_ERROR_M_PX))
         self.frames_missed += self.frames_unseen
         self.last, self.frames_unseen = detection, 0
 
@@ -83,41 +87,23 @@ class DetectionTrack:
         return self.first.lane.path.nearest(detection.position)
 
     @property
-    def speed(self) -> float:
-        """Mean speed along the lane, m/s; NaN for a single detection."""
-        return theil_sen_slope(np.array(self.times), np.array(self.arc_lengths))
-
-    @property
-    def travel(self) -> float:
-        """Distance travelled along the lane, m, from the medians of the first and of the last third."""
-        third = -(-len(self.arc_lengths) // 3)
-        first_median, last_median = np.median(self.arc_lengths[:third]), np.median(self.arc_lengths[-third:])
-        return float(last_median - first_median) * (len(self.arc_lengths) - 1) / max(len(self.arc_lengths) - third, 1)
+    def motion(self) -> TrackMotion:
+        """Its places along the lane."""
+        return TrackMotion(np.array(self.times), np.array(self.arc_lengths), np.array(self.pixels))
 
     @property
     def is_moving(self) -> bool:
-        """Whether it has travelled by more than `MIN_TRAVEL_M_PX`."""
-        middle = self.kept[len(self.kept) // 2]
-        return len(self.times) > 1 and abs(self.travel) >= middle.distance_error(*MIN_TRAVEL_M_PX)
+        """Whether it has travelled, before or after it stood."""
+        return self.motion.exceeds(MIN_TRAVEL_M_PX) or bool(self.motion.drives())
 
     @property
-    def unsteadiness(self) -> float:
-        """The residual of a motion of constant acceleration over that of one jump between two fixed places: near 0 for
-        a vehicle, above 1 for what sways between two places."""
-        s = np.array(self.arc_lengths)
-        jumping = min(_absolute_deviation(s[:k]) + _absolute_deviation(s[k:]) for k in range(1, len(s)))
-        return float(np.abs(self._smooth_residuals).sum()) / max(jumping, 1e-9)
-
-    @property
-    def roughness_px(self) -> float:
-        """RMS residual about the best motion of constant acceleration, px of disparity."""
-        middle = self.kept[len(self.kept) // 2]
-        return float(np.sqrt(np.mean(self._smooth_residuals**2))) / middle.distance_error(0.0, 1.0)
-
-    @property
-    def _smooth_residuals(self) -> Array:
-        t, s = np.array(self.times) - self.times[0], np.array(self.arc_lengths)
-        return np.asarray(s - np.polyval(np.polyfit(t, s, 2), t))
+    def _stands(self) -> bool:
+        """Whether it has stayed where it is for the last `MIN_STAND_S`."""
+        start = bisect_right(self.times, self.times[-1] - MIN_STAND_S) - 1
+        if start < 0:
+            return False
+        latest = self.arc_lengths[start:]
+        return max(latest) - min(latest) <= max(STAND_REACH_M_PX[0], STAND_REACH_M_PX[1] * self.pixels[-1])
 
     def same_vehicle(self, other: DetectionTrack) -> bool:
         """Whether this track and ``other`` follow one vehicle: one motion then fits the detections of both about the
@@ -125,9 +111,9 @@ class DetectionTrack:
         if other is self.beside:
             return False
         start, end = max(self.times[0], other.times[0]), min(self.times[-1], other.times[-1])
-        if start - end > MAX_GAP_S:
-            return False
         earlier, later = (self, other) if self.times[0] <= other.times[0] else (other, self)
+        if start - end > MAX_GAP_S:
+            return earlier.may_have_stood_until(later)
         if start > end and not earlier.may_go_on_as(later):
             return False
         lane, shared = self.first.lane, (min(start, end) - MAX_GAP_S, max(start, end) + MAX_GAP_S)
@@ -145,16 +131,36 @@ class DetectionTrack:
             return True
         predicted, gate = self._prediction(later.times[0])
         s = self.first.lane.path.nearest(later.positions[0])
-        return bool(abs(s - predicted) <= gate + self.errors[-1] + later.errors[0])
+        return bool(abs(s - predicted) <= gate + self._error(-1) + later._error(0))
+
+    def may_have_stood_until(self, later: DetectionTrack) -> bool:
+        """Whether the vehicle of this track, which has ended, has come to a stand in the place from which that of a
+        ``later`` one drives off: what stands becomes part of the background, and none passes it in its lane."""
+        s, offset, _ = self.first.lane.plane_coordinates(later.positions[0])
+        last_offset = self.first.lane.plane_coordinates(self.positions[-1])[1]
+        is_there = abs(s - self.arc_lengths[-1]) <= self._error(-1) + later._error(0)
+        is_beside = abs(offset - last_offset) > MAX_LATERAL_STEP_M
+        stops = self._is_about_to_stand(slice(-PREDICTION_DETECTIONS, None), -1)
+        return is_there and not is_beside and stops and later._is_about_to_stand(slice(PREDICTION_DETECTIONS), 0)
+
+    def _is_about_to_stand(self, detections: slice, k: int) -> bool:
+        """Whether by the speed in some ``detections`` the vehicle stands within the error of its place at ``k``: it
+        brakes to a stand there, or has just driven off."""
+        speed = theil_sen_slope(np.array(self.times[detections]), np.array(self.arc_lengths[detections]))
+        return bool(speed**2 / (2.0 * BRAKING_MPS2) <= self._error(k))
+
+    def _error(self, k: int) -> float:
+        """Greatest error of a detection along the lane, m."""
+        return max(POSITION_ERROR_M_PX[0], POSITION_ERROR_M_PX[1] * self.pixels[k])
 
     def _observations(self, lane: LanePath, start: float, end: float) -> Array:
         """Times, arc lengths on ``lane``, errors and lateral offsets (4, N) of the detections from ``start`` to
         ``end``."""
         observations = []
-        for time, position, error in zip(self.times, self.positions, self.errors, strict=True):
+        for k, (time, position) in enumerate(zip(self.times, self.positions, strict=True)):
             if start <= time <= end:
                 s, offset, _ = lane.plane_coordinates(position)
-                observations.append((time, s, error, offset))
+                observations.append((time, s, self._error(k), offset))
         return np.array(observations).T
 
     def is_predictable(self, time: float) -> bool:
@@ -185,12 +191,8 @@ class DetectionTrack:
         recent = slice(-SPEED_DETECTIONS, None)
         t, places = np.array(self.times[recent]) - time, np.array(self.arc_lengths[recent])
         v = theil_sen_slope(t, places)
-        gate = self.errors[-1] * -t[-1] / (t[-1] - t[0]) + 0.5 * MAX_ACCELERATION_MPS2 * t[-1] ** 2
+        gate = self._error(-1) * -t[-1] / (t[-1] - t[0]) + 0.5 * MAX_ACCELERATION_MPS2 * t[-1] ** 2
         return float(np.median((places - v * t)[-PREDICTION_DETECTIONS:])), float(gate)
-
-
-def _absolute_deviation(s: Array) -> float:
-    return float(np.abs(s - np.median(s)).sum())
 
 
 def motion_residuals(t: Array, s: Array, error: Array) -> Array:

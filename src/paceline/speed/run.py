@@ -131,14 +131,16 @@ class VehicleMeasurement:
 
     def _refined(self) -> RefinedMotion:
         """The refined motion. The direction along the path was chosen from few frames, which may be too near to each
-        other to tell it: a negative speed means the other direction."""
+        other to tell it: a negative speed means the other direction, unless that gives a negative one, too."""
         speed = float(np.mean([e.speed for e in self.estimates[1:] if e.status == "tracking"]))
         drawn = self._drawn_path()
         self._is_off_path = self.path is not None and drawn is None
         refined = self._refine_from(speed, drawn)
-        if drawn is not None and (backward := refined.mean_speed()[0]) < 0:
+        if drawn is not None:
             (other,) = (path for path in self.tracker.candidate_paths if path is not drawn)
-            refined = self._refine_from(-backward, other)
+            for path in (other, drawn):
+                if (backward := refined.mean_speed()[0]) < 0:
+                    refined = self._refine_from(-backward, path)
         return refined
 
     def _refine_from(self, speed: float, drawn: Path | None) -> RefinedMotion:
