@@ -26,7 +26,7 @@ MIN_TRACK_CONTRAST_GREY = 5.0  # grey levels; below, the background may have bee
 FULL_BRAKING_MPS2, FULL_THROTTLE_MPS2 = 9.0, 6.0  # at the limits of tyres and engines
 FULL_TURNING_MPS2 = 9.81  # sideways, with a friction coefficient of 1
 MAX_DISAGREEMENT_CHANCE = 0.005  # probability that both estimates of a right speed differ by more than is accepted
-ANCHOR_FRAMES = 2  # first frames of which one has to show the vehicle where the motion puts it
+MIN_OUTLINE_FRAMES = 2  # first frames of which one has to show the vehicle where the motion puts it
 MAX_STANDING_TRAVEL_M = 0.3  # in the whole track, of what is taken to stand still
 MAX_LOG_RATIO_OF_ROAD = 5.0  # log likelihood ratio of the road over a vehicle: prior odds of 150 to 1 for the vehicle
 CERTAINTY_SIGMA = 1.645  # standard deviations beyond a limit at which it is exceeded with a probability of 95 %
@@ -157,8 +157,8 @@ def check_residuals(refined: RefinedMotion, limits: Limits = DEFAULT_LIMITS) -> 
             min_frames=limits.min_frames,
         )
     # the distance is counted from the outline: an occluder's motion, or one that only a later part of the track fits
-    if not consistent[:ANCHOR_FRAMES].any():
-        return message("first_frames_inconsistent", frames=ANCHOR_FRAMES)
+    if not consistent[:MIN_OUTLINE_FRAMES].any():
+        return message("first_frames_inconsistent", frames=MIN_OUTLINE_FRAMES)
     return NO_REASON
 
 
