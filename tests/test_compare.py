@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import leave_out
 from run_command import assert_one_line_error, paceline
 
 from paceline.verification.comparison import vehicle_errors
@@ -23,11 +24,13 @@ def outs(small_clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the results of two methods, as the command writes them, and the truth."""
     folder = tmp_path_factory.mktemp("compare")
     shutil.copyfile(small_clip.with_name("truth.json"), folder / "truth.json")
-    for method in ("sift", "zhu"):
-        config = folder / f"{method}.yaml"
-        config.write_text(f"method: {method}\nreport: {{overlay: false}}\n")
-        done = paceline("speed", small_clip, "-o", folder / method, "--config", config)
-        assert done.returncode == 0, done.stderr
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("matplotlib.figure.Figure.savefig", leave_out)
+        for method in ("sift", "zhu"):
+            config = folder / f"{method}.yaml"
+            config.write_text(f"method: {method}\nreport: {{overlay: false}}\n")
+            done = paceline("speed", small_clip, "-o", folder / method, "--config", config)
+            assert done.returncode == 0, done.stderr
     return folder
 
 

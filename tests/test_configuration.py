@@ -171,7 +171,7 @@ def configurations(section: type[Section]) -> st.SearchStrategy[Any]:
 def test_a_configuration_stands_in_the_summary_as_it_is(c: SpeedConfiguration) -> None:
     with TemporaryDirectory() as folder:
         out = Path(folder)
-        write_summary(ClipResult("clip.yaml", [], [], c.model_dump(), {}, [], 0.0), out / "summary.json")
+        write_summary(ClipResult("clip.yaml", [], [], c.model_dump(), {}, [], 0.0), [], out / "summary.json")
         assert load_settings(written(out, json.dumps(summary_of(out)["configuration"]))).configuration == c
 
 

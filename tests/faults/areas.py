@@ -19,9 +19,9 @@ from .sources import BOARD, Truth, source
 
 COVERAGE_95 = 1.96  # half a 95 % interval in standard deviations
 WRONG_FRAMES_SHARE = 0.05  # of the tracked frames whose range may be far outside its interval by chance
-SPEED_OUTPUT = {"estimates.csv", "summary.json", "report.html", "overlay.mp4", "plots"}
+SPEED_OUTPUT = {"estimates.csv", "vehicles.csv", "summary.json", "report.html", "overlay.mp4", "plots"}
 FOLLOW_OUTPUT = {"track.csv", "summary.json", "report.html"}
-LIVE_OUTPUT = {"estimates.csv", "summary.json", "report.html"}
+LIVE_OUTPUT = {"estimates.csv", "vehicles.csv", "summary.json", "report.html"}
 USERS_FILE = "notes.txt"  # in the output folder; no run may touch it
 
 

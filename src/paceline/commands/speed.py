@@ -117,9 +117,10 @@ def speed(
         from paceline.reports.speed.tables import PICTURES_FOLDER
 
         _print_result(result, settings.report.units)
-        print(f"\nReport: {out / 'report.html'}")
+        print()
         if (out / PICTURES_FOLDER).is_dir():
             print(f"Pictures of the vehicles: {out / PICTURES_FOLDER}")
+        print(f"Report: {out / 'report.html'}")
     return EXIT_DONE if any(m.verdict == "measured" for m in result.measurements) else EXIT_NOTHING_MEASURED
 
 

@@ -41,12 +41,13 @@ TABLE_COLUMNS = [
     {"name": name, "label": label, "field": name, "align": "left"}
     for name, label in (
         ("vehicle", "vehicle"), ("speed", "speed, {unit}"), ("interval", "{interval}"), ("lane", "lane"),
-        ("travel", "direction"), ("seen", "seen, s"), ("frames", "frames"), ("verdict", "verdict"),
-        ("reason", "reason"),
+        ("travel", "direction"), ("seen", "seen, s"), ("verdict", "verdict"),
     )
 ]  # fmt: skip
 PICTURE_COLUMN = {"name": "picture", "label": "picture", "field": "picture", "align": "left"}
 LIMIT_COLUMN = {"name": "limit", "label": "limit", "field": "limit", "align": "left"}
+REASON_COLUMN = {"name": "reason", "label": "reason", "field": "reason", "align": "left"}
+UNBROKEN_COLUMNS = ("speed", "interval", "limit", "seen")  # numbers that stay on one line
 ADVICE_COLUMN = {"name": "advice", "label": "advice", "field": "advice", "align": "left"}
 ROWS_PER_PAGE = 50
 MAX_ROWS = 1000  # rows of a table; ten times as many would block all pages for a second
@@ -106,6 +107,8 @@ def show_vehicle_table(run: Run, vehicles: list[dict[str, Any]], unit: str, max_
     columns = [{**column, "label": column["label"].format(unit=unit, interval=interval)} for column in TABLE_COLUMNS]
     if any(vehicle.get("limit_mps") is not None for vehicle in vehicles):
         columns.insert(3, LIMIT_COLUMN)
+    if any(row["reason"] for row in rows):
+        columns.append(REASON_COLUMN)
     if any(row["advice"] for row in rows):
         columns.append(ADVICE_COLUMN)
     stems = [picture_stem(vehicle) for vehicle in vehicles]
@@ -115,6 +118,10 @@ def show_vehicle_table(run: Run, vehicles: list[dict[str, Any]], unit: str, max_
             row["picture"] = "" if stem is None else result_address(run.clip, run.number, quote(picture_name(stem)))
     if run.kind == LIVE_RUN:
         rows.reverse()
+    columns = [
+        {**column, "style": "white-space: nowrap"} if column["name"] in UNBROKEN_COLUMNS else column
+        for column in columns
+    ]
     pages = ROWS_PER_PAGE if len(rows) > ROWS_PER_PAGE else None
     table = ui.table(columns=columns, rows=rows, row_key="vehicle", pagination=pages)
     table.props("flat dense wrap-cells").classes("pl-table").add_slot("body-cell-verdict", VERDICT_TEMPLATE)

@@ -199,7 +199,6 @@ def _vehicle_row(vehicle: dict[str, Any], speed: str, interval: str, limit: str)
         "lane": str(vehicle.get("path") or NO_VALUE),
         "travel": str(vehicle.get("travel") or NO_VALUE),
         "seen": _format_seen(vehicle),
-        "frames": str(vehicle.get("frames")),
         "verdict": str(vehicle.get("verdict")),
         "reason": str(vehicle.get("reason") or INTERVAL_LIMITATIONS.get(str(vehicle.get("interval_from")), "")),
         "advice": rejected_advice(str(vehicle.get("reason_code"))) if vehicle.get("verdict") == "rejected" else "",
