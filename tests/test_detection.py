@@ -25,13 +25,14 @@ from paceline.detection.finder import DetectedVehicle, VehicleFinder
 from paceline.detection.lane_paths import LanePath, PlaneGrid, image_pyramid, lane_paths_of, warp_to_plane
 from paceline.detection.photo_consistency import LocalStatistics, local_ncc
 from paceline.detection.planar_face import best_rectangle
-from paceline.detection.search import SearchResult, find_vehicles
+from paceline.detection.search import SearchResult, find_recorded_vehicles, find_vehicles
 from paceline.documents.loading import VehicleDocument, load_clip
 from paceline.errors import UnusableInput
 from paceline.geometry import epipolar_distance, triangulate
 from paceline.recordings.background import shorth_background
 from paceline.recordings.stereo import StereoFrame, open_recording
 from paceline.robust_line import theil_sen_slope
+from paceline.simulation.camera_errors import StereoErrors
 from paceline.simulation.stereo.clip import RenderedClip, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.configuration import DEFAULTS, DetectionSettings, SpeedConfiguration
@@ -352,6 +353,22 @@ def test_the_command_writes_what_speed_reads(search: SearchResult, tmp_path: Pat
         picture = cv2.imread(str(tmp_path / f"vehicle-{name}.png"))
         assert picture is not None and len(np.unique(picture)) > 50
     assert_one_line_error(paceline("vehicles", file, "--in-place"), "clip.yaml", "vehicles", "outlined already")
+
+
+def test_vehicles_of_swaying_cameras_are_outlined_where_their_pictures_show_them(tmp_path: Path) -> None:
+    """By pixels that differ from those of cameras that stand still, in which they were found."""
+    rendered = render(scene(TWO[0], errors=StereoErrors(sway=2e-3)))
+    clip = replace(load_clip(unclicked(rendered, tmp_path)), drawn_on=8)  # to which the others are turned
+    (found,) = find_recorded_vehicles(clip, open_recording(clip)).detected
+    assert found.vehicle is not None and found.recorded is not None
+    (row,) = (row for row in rendered.truth if row["frame"] == found.recorded.frame)
+    for side in ("left", "right"):
+        recorded, steady, true = getattr(found.recorded, side), getattr(found.vehicle, side), np.array(row[side])
+        assert (recorded > true.min(0) - 2.0).all() and (recorded < true.max(0) + 2.0).all()
+        assert np.abs(recorded - steady).max() > 0.3
+    written = with_vehicles((tmp_path / "clip.yaml").read_text(encoding="utf-8"), "clip.yaml", clip.rig, [found])
+    (entry,) = yaml.safe_load(written)["vehicles"]
+    np.testing.assert_allclose(entry["left"], clip.rig.left.distort_points(found.recorded.left), atol=0.01)
 
 
 def test_without_paths_nothing_is_written(tmp_path: Path) -> None:

@@ -83,6 +83,18 @@ def test_motorcycle_beside_a_car_is_another_vehicle(ahead: float) -> None:
     assert all(register.is_new(one, without_outline(one, NO_REASON)) for one in (car, beside))
 
 
+def test_two_that_show_a_gap_too_seldom_are_said_not_to_be_told_apart() -> None:
+    """In two detections of eight, as where one of them is hidden for most of the time."""
+    motorcycle = Surface((1.0, 1.7), (0.0, 0.0), 1.7, -60.0)
+    both, alone = (track_of(surfaces, (-1.5, 1.9)) for surfaces in ([CAR, motorcycle], [CAR]))
+    track = DetectionTrack()
+    for k, (together, single) in enumerate(zip(both.kept, alone.kept, strict=True)):
+        track.add(together if k < 2 else single)
+    assert vehicles_of(track) == [track] and track.may_be_two
+    assert [notice.code for notice in without_outline(track, NO_REASON).notices] == ["vehicles_not_told_apart"]
+    assert vehicles_of(alone) == [alone] and without_outline(alone, NO_REASON).notices == ()
+
+
 def test_a_face_with_a_strip_as_grey_as_the_road_is_one_vehicle() -> None:
     """Both sides together are no wider than one."""
     sides = Surface((-1.2, -0.3)), Surface((0.0, 1.2))

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_detection_detector import detection, driven, outlined
 
-from paceline.detection.finder import DuplicateFilter, continued_by, is_vehicle, without_outline
+from paceline.detection.finder import (
+    DuplicateFilter,
+    continued_by,
+    is_vehicle,
+    may_be_vehicle,
+    outline,
+    without_outline,
+)
 from paceline.detection.planar_face import with_visible_face
 from paceline.detection.tracks import DetectionTrack, TrackAssociator, motion_residuals
 
@@ -205,6 +212,14 @@ def test_a_vehicle_that_stands_for_most_of_the_time_is_one(drives_off: bool) -> 
     assert is_vehicle(track) and track.motion.stands() and track.motion.drives()
     assert all(d.time < 4.5 or d.time > 9.0 for d in track.kept)
     assert is_vehicle(driven(times, s[::-1]))  # as one that stood first
+
+
+def test_what_may_be_a_shadow_is_listed_as_such() -> None:
+    times = np.arange(12) / 5
+    track = driven(times, 5.0 + 12.0 * times)
+    track.upright_ratios = [1.6] * len(times)
+    assert may_be_vehicle(track) and not is_vehicle(track)
+    assert outline(track).reason.code == "may_be_shadow" and outline(track).vehicle is None
 
 
 def test_what_only_sways_between_stands_is_no_vehicle() -> None:

@@ -72,7 +72,7 @@ def find_vehicles(
     ``detect`` is an object detector; if it is given, vehicles are searched for only inside its boxes.
     """
     loaded = _resolve_clip(clip)
-    return search.find_vehicles(loaded, open_recording(loaded), progress, detect, configuration or DEFAULTS)
+    return search.find_recorded_vehicles(loaded, open_recording(loaded), progress, detect, configuration or DEFAULTS)
 
 
 def vehicle_finder(

@@ -213,6 +213,11 @@ _UNMEASURED_ROWS = {
         "its front or rear is never at least {min_width_px:g} × {min_height_px:g} px large and wholly in both views",
         "Use a longer focal length, or aim the cameras so that the vehicle stays inside both views.",
     ),
+    "may_be_shadow": (
+        "it may be a shadow on the road: both views match {upright_ratio:.1f} times better if it stands upright than "
+        "if it lies there (at least {min_upright_ratio:g} needed)",
+        "Outline it by hand if it is a vehicle; film from higher up or from nearer, and with less noise.",
+    ),
     "queue_full": (
         "vehicles come faster than this computer measures them ({waiting} are waiting, limit {max_waiting})",
         "Record fewer frames per second, use a faster computer, or raise `live.queue` where vehicles come in bursts.",
@@ -328,6 +333,11 @@ _WARNING_ROWS = {
     ),
     "baseline_interval": ("a baseline: the interval comes from scatter alone and holds no systematic part", ""),
     "vehicle_not_measured": ("a vehicle on {path} from {start:.2f} to {end:.2f} s is not measured: {reason}", ""),
+    "vehicles_not_told_apart": (
+        "what was detected on {path} from {start:.2f} to {end:.2f} s may be two vehicles side by side that could not "
+        "be told apart, and counts as one",
+        "Look at it in the overlay, and outline both by hand.",
+    ),
     "views_skewed": ("{frames} are taken {skew}", _SYNCHRONISE_ADVICE),
     "views_not_simultaneous": (
         "right frames are exposed {offset_ms:+.1f} ± {std_ms:.1f} ms after the left ones, by what moves in them, which "

@@ -66,6 +66,7 @@ def measure_live(
 
     def on_result(detected: DetectedVehicle, measurement: Measurement | None, reason: Message) -> None:
         seen_at = live_progress.time_of_day(detected.times[0])
+        results.notices += detected.notices
         if measurement is not None:
             results.add(measurement, detected, seen_at)
         else:

@@ -39,7 +39,7 @@ def vehicles(
     """
     from paceline.detection.clip_entries import with_vehicles
     from paceline.detection.onnx_detector import OnnxDetector
-    from paceline.detection.search import find_vehicles
+    from paceline.detection.search import find_recorded_vehicles
     from paceline.documents.loading import load_clip
     from paceline.recordings.stereo import open_recording
     from paceline.speed.configuration import SpeedSettings, load_settings
@@ -56,7 +56,7 @@ def vehicles(
         with_vehicles(file.read_text(encoding="utf-8"), str(file), document.rig, [])
     detect = None if detector is None else OnnxDetector(detector, settings.detection.score)
     with progress_bar("looking", sys.stderr.isatty() and not quiet) as advance:
-        search = find_vehicles(document, open_recording(document), advance, detect, settings.configuration)
+        search = find_recorded_vehicles(document, open_recording(document), advance, detect, settings.configuration)
     if not quiet:
         _print(search)
     if search.reason:

@@ -31,6 +31,7 @@ MIN_SIDE_WIDTH_M = 0.4  # of a motorcycle without its handlebars
 MAX_VEHICLE_WIDTH_M = 2.6  # greatest width of a vehicle's body: Directive 96/53/EC, annex I, 1.2
 WIDTH_ERROR_M = 0.2  # two standard deviations of a width of two sides on their own planes
 MIN_GAP_DETECTIONS, MIN_GAP_SHARE = 3, 0.4  # of the detections, that show a gap where there are two vehicles
+MIN_DOUBTFUL_GAPS = 2  # detections with a gap from which on there may be two: one shows a gap by chance
 MIN_SIDE_TEXTURE_GREY = 3.0  # least local standard deviation: paint that is nearly even agrees on many planes
 SIDE_RANGE_M_PX, SIDE_STEPS = (4.0, 1.0), 33  # to either side of a detection along the lane, as it may be between
 
@@ -44,31 +45,31 @@ class Gap:
 
 
 def separated(track: DetectionTrack) -> list[DetectionTrack]:
-    """The tracks of two vehicles that are abreast in a ``track``, from the left to the right; else that alone."""
-    gaps = [gap_of(detection) for detection in track.kept]
-    clear = [k for k, gap in enumerate(gaps) if gap is not None]
-    min_count = max(MIN_GAP_DETECTIONS, MIN_GAP_SHARE * len(gaps))
-    if len(clear) < min_count:
+    """The tracks of two vehicles that are abreast in a ``track``, from the left to the right; else that alone, of which
+    `DetectionTrack.may_be_two` says whether some of its detections are as wide as two, with a gap."""
+    if not track.first.is_road_known:
         return [track]
-    sides: list[dict[int, Detection]] = [{}, {}]
-    for k, detection in enumerate(track.kept):
-        gap = gaps[min(clear, key=lambda c: abs(c - k))]
-        assert gap is not None, "a clear detection has a gap"
-        for side, x in zip(sides, (gap.left, gap.right), strict=True):
-            if (own := on_own_plane(detection, x)) is not None:
-                side[k] = own
-    both = [k for k in clear if k in sides[0] and k in sides[1]]
-    if len(both) < MIN_GAP_DETECTIONS:
+    gaps = {k: gap for k, detection in enumerate(track.kept) if (gap := gap_of(detection)) is not None}
+    widths = [width for k, gap in gaps.items() if (width := _joint_width(track.kept[k], gap)) is not None]
+    if len(widths) < MIN_DOUBTFUL_GAPS or float(np.median(widths)) < MAX_VEHICLE_WIDTH_M + WIDTH_ERROR_M:
         return [track]
-    width = float(np.median([sides[1][k].x[1] - sides[0][k].x[0] for k in both]))
-    if width < MAX_VEHICLE_WIDTH_M + WIDTH_ERROR_M:
+    if len(gaps) < MIN_GAP_SHARE * len(track.kept) or len(widths) < MIN_GAP_DETECTIONS:
+        track.may_be_two = True
         return [track]
     tracks = [DetectionTrack(), DetectionTrack()]
-    for result, side in zip(tracks, sides, strict=True):
-        for detection in side.values():
-            result.add(detection)
+    for k, detection in enumerate(track.kept):
+        gap = gaps[min(gaps, key=lambda c: abs(c - k))]
+        for result, x in zip(tracks, (gap.left, gap.right), strict=True):
+            if (own := on_own_plane(detection, x)) is not None:
+                result.add(own)
     tracks[0].beside, tracks[1].beside = tracks[1], tracks[0]
     return tracks
+
+
+def _joint_width(detection: Detection, gap: Gap) -> float | None:
+    """The width (m) of both sides of a ``gap`` together, each on its own plane; None where one has none."""
+    left, right = (on_own_plane(detection, x) for x in (gap.left, gap.right))
+    return None if left is None or right is None else right.x[1] - left.x[0]
 
 
 def gap_of(detection: Detection) -> Gap | None:

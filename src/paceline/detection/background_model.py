@@ -29,10 +29,11 @@ BOX_MARGIN_SHARE = 0.05  # margin on every side as a share of a box's size: dete
 @dataclass(frozen=True, eq=False)
 class BackgroundEstimate:
     """The background of both views (H, W) of a frame; ``noise`` is the left view's standard deviation, grey levels,
-    where the difference to the background does not yield it."""
+    where the difference to the background does not yield it. It ``is_road`` where that is known behind vehicles."""
 
     images: tuple[Image, Image]
     noise: float | None = None
+    is_road: bool = True
 
 
 class BackgroundModel(Protocol):
@@ -93,8 +94,9 @@ class DetectorBackground:
         self._boxed += sum(len(image_boxes) > 0 for image_boxes in boxes)
         images = _inverted_in_boxes(frame.left, boxes[0]), _inverted_in_boxes(frame.right, boxes[1])
         if self._last is None:
-            return BackgroundEstimate(images)
-        return BackgroundEstimate(images, noise_std(frame.left[rows], self._last[rows]) / float(np.sqrt(2.0)))
+            return BackgroundEstimate(images, is_road=False)
+        noise = noise_std(frame.left[rows], self._last[rows]) / float(np.sqrt(2.0))
+        return BackgroundEstimate(images, noise, is_road=False)
 
     def update(self, frame: StereoFrame, rows: slice = ALL_ROWS) -> None:
         """Keep ``frame`` to estimate the noise of the next one."""

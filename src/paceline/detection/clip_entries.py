@@ -28,7 +28,7 @@ def with_vehicles(text: str, file: str, rig: StereoRig, detected: list[DetectedV
 def _entries(rig: StereoRig, detected: list[DetectedVehicle], indent: int) -> list[str]:
     pad, lines = " " * indent, []
     for f in detected:
-        v = f.vehicle
+        v = f.recorded or f.vehicle
         if v is None:
             continue
         lines += [

@@ -64,6 +64,7 @@ class Detection:
     It stands on the plane at arc length ``s`` of ``lane``, between ``x`` and ``y``, each (2,) m; ``area`` m² of it are
     consistent, with an ``upright_ratio`` (see `photo_consistency.upright_ratio`). ``crops`` of both views and of their
     ``background`` begin at the pixels ``crop_origins`` (2, 2); ``noise`` is their standard deviation, grey levels.
+    ``is_road_known`` says whether ``background`` shows the road behind the vehicle.
     """
 
     frame: int
@@ -78,6 +79,7 @@ class Detection:
     background: tuple[Bytes, Bytes]
     crop_origins: Array
     noise: float = 1.0
+    is_road_known: bool = True
 
     @property
     def position(self) -> Array:

@@ -63,7 +63,8 @@ class DetectedVehicle:
 
     ``path`` is the name of its path, ``times`` (2,) when it was first and last detected, s; ``width`` and ``height``
     are those of its visible part, m; ``position`` (3,) m is where on the road it was first detected; ``crops`` of both
-    views in the frame of the outline begin at the pixels ``crop_origins`` (2, 2).
+    views in the frame of the outline begin at the pixels ``crop_origins`` (2, 2). ``notices`` say what is doubtful;
+    ``recorded`` is the outline in the pictures as recorded, where those that were searched are corrected ones.
     """
 
     path: str
@@ -75,6 +76,8 @@ class DetectedVehicle:
     reason: Message
     crops: tuple[Image, Image]
     crop_origins: Array
+    notices: tuple[Message, ...] = ()
+    recorded: VehicleDocument | None = None
 
 
 class VehicleFinder:
@@ -120,8 +123,10 @@ class VehicleFinder:
             return []
         background = self._background.background(frame, self.rows)
         detections = self._detector.detect(frame, background.images, background.noise)
+        if not background.is_road:
+            detections = [replace(detection, is_road_known=False) for detection in detections]
         self._background.update(frame, self.rows)
-        finished = [track for track in self._associator.associate(frame.time, detections) if is_vehicle(track)]
+        finished = [track for track in self._associator.associate(frame.time, detections) if may_be_vehicle(track)]
         passed = [t for t in finished if not any(continued_by(t, other) for other in self._associator.tracks)]
         return [vehicle for track in passed for vehicle in vehicles_of(track)]
 
@@ -133,7 +138,7 @@ class VehicleFinder:
     def remaining_tracks(self) -> list[DetectionTrack]:
         """As `finish`, but the tracks only."""
         tracks, self._associator = self._associator.tracks, TrackAssociator()
-        return [vehicle for track in tracks if is_vehicle(track) for vehicle in vehicles_of(track)]
+        return [vehicle for track in tracks if may_be_vehicle(track) for vehicle in vehicles_of(track)]
 
 
 class DuplicateFilter:
@@ -152,9 +157,9 @@ class DuplicateFilter:
         return True
 
 
-def is_vehicle(track: DetectionTrack) -> bool:
-    """Whether what was tracked is upright and large enough, and drives along its lane, all the time or between two
-    stands."""
+def is_vehicle(track: DetectionTrack, min_upright_ratio: float = MIN_TRACK_UPRIGHT_RATIO) -> bool:
+    """Whether what was tracked is large enough and as upright as ``min_upright_ratio``, and drives along its lane, all
+    the time or between two stands."""
     if len(track.times) < max(MIN_DETECTIONS + track.frames_missed / 2, track.frames_missed):
         return False
     offsets = np.abs([s.lateral_offset for s in track.kept])
@@ -163,15 +168,20 @@ def is_vehicle(track: DetectionTrack) -> bool:
         return False
     motion = track.motion
     parts = [slice(0, len(track.times))] * motion.exceeds(MIN_TRAVEL_M_PX) + motion.drives()
-    return any(_is_upright(track, part) and _drives(motion.part(part)) for part in parts)
+    return any(_is_upright(track, part, min_upright_ratio) and _drives(motion.part(part)) for part in parts)
 
 
-def _is_upright(track: DetectionTrack, part: slice) -> bool:
+def may_be_vehicle(track: DetectionTrack) -> bool:
+    """Whether what was tracked is a vehicle, or drives as one and is as large, but may lie on the road."""
+    return is_vehicle(track, min_upright_ratio=0.0)
+
+
+def _is_upright(track: DetectionTrack, part: slice, min_upright_ratio: float) -> bool:
     """Whether a ``part`` of the detections of a ``track`` is of something upright that is large enough."""
     areas, ratios = track.areas[part], track.upright_ratios[part]
     area = float(np.median(areas)) * np.sqrt(min(len(areas), MAX_COUNTED_DETECTIONS))
     upright_ratio, is_low = float(np.median(ratios)), _height(track) < MIN_VEHICLE_HEIGHT_M
-    least = max(MIN_TRACK_UPRIGHT_RATIO, MIN_LOW_UPRIGHT_RATIO if is_low else 0.0)
+    least = max(min_upright_ratio, MIN_LOW_UPRIGHT_RATIO if is_low else 0.0)
     return len(areas) >= MIN_DETECTIONS and area >= MIN_VEHICLE_AREA_M2 and upright_ratio >= least
 
 
@@ -184,7 +194,10 @@ def _drives(motion: TrackMotion) -> bool:
 def vehicles_of(track: DetectionTrack) -> list[DetectionTrack]:
     """The tracks of two vehicles abreast that are one ``track``, where each is a vehicle by itself; else that alone."""
     both = separated(track)
-    return both if all(is_vehicle(one) for one in both) else [track]
+    if len(both) == 1 or all(is_vehicle(one) for one in both):
+        return both
+    track.may_be_two = True
+    return [track]
 
 
 def continued_by(track: DetectionTrack, other: DetectionTrack) -> bool:
@@ -205,12 +218,19 @@ def without_outline(track: DetectionTrack, reason: Message) -> DetectedVehicle:
         reason=reason,
         crops=first.crops,
         crop_origins=first.crop_origins,
+        notices=(message("vehicles_not_told_apart", path=first.lane.name, start=track.times[0], end=track.times[-1]),)
+        if track.may_be_two
+        else (),
     )
 
 
 def outline(track: DetectionTrack, configuration: SpeedConfiguration = DEFAULTS) -> DetectedVehicle:
     """The vehicle of a ``track`` with its outline in the first frame that shows it well; where all detections give
     none, from the nearer half, because farther away another vehicle may hide most of it."""
+    if not is_vehicle(track):
+        ratio = float(np.median(track.upright_ratios))
+        reason = message("may_be_shadow", upright_ratio=ratio, min_upright_ratio=MIN_TRACK_UPRIGHT_RATIO)
+        return without_outline(track, reason)
     detections = with_visible_face(track)
     detected = _outline_from(track, detections, configuration)
     if detected.vehicle is not None or not detections:

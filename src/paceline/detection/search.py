@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 from paceline.blas import on_one_blas_thread
@@ -15,6 +15,7 @@ from paceline.detection.background_model import (
 from paceline.detection.finder import DetectedVehicle, VehicleFinder
 from paceline.detection.lane_paths import lane_paths_of
 from paceline.documents.loading import Clip, PathDocument
+from paceline.imaging.recorded_cameras import estimate_cameras
 from paceline.lanes.lane_proposals import propose_lanes
 from paceline.lanes.road_detection import RoadNotFound, detect_road
 from paceline.lanes.site_yaml import lane_names
@@ -34,15 +35,17 @@ class SearchResult:
     clip: Clip
     detected: list[DetectedVehicle]
     reason: Message
+    camera_notices: list[Message] = field(default_factory=list)
 
     @property
     def notices(self) -> list[str]:
-        """One line for each vehicle that cannot be measured, and for there being none."""
+        """One line for each vehicle that cannot be measured or told from another, and for there being none."""
         messages: list[str] = [
             message("vehicle_not_measured", path=f.path, start=f.times[0], end=f.times[1], reason=f.reason)
             for f in self.detected
             if f.vehicle is None
         ]
+        messages += [notice for f in self.detected for notice in f.notices] + self.camera_notices
         return messages + ([self.reason.after("no vehicle was found")] if self.reason else [])
 
 
@@ -86,6 +89,25 @@ def find_vehicles(
     detected = number_vehicles(detected + finder.finish())
     vehicles = [f.vehicle for f in detected if f.vehicle is not None]
     return SearchResult(replace(clip, vehicles=vehicles), detected, NO_REASON if vehicles else model.no_vehicle_reason)
+
+
+def find_recorded_vehicles(
+    clip: Clip,
+    recording: StereoRecording,
+    progress: Progress | None = None,
+    detect: DetectBoxes | None = None,
+    configuration: SpeedConfiguration = DEFAULTS,
+) -> SearchResult:
+    """As `find_vehicles`, by cameras that are corrected for what the ``recording`` tells of them, as those of a
+    measurement are: when the views were exposed, how the cameras turn, how well the calibration holds. Outlines are
+    where the pictures as recorded show them."""
+    cameras = estimate_cameras(replace(clip, vehicles=[]), recording, progress)
+    search = find_vehicles(cameras.clip, cameras.recording, progress, detect, configuration)
+    recorded = cameras.with_recorded_outlines(search.clip, recording).vehicles
+    clip = replace(clip, paths=search.clip.paths, vehicles=recorded)
+    outlines = {v.id: v for v in recorded}
+    detected = [f if f.vehicle is None else replace(f, recorded=outlines[f.vehicle.id]) for f in search.detected]
+    return replace(search, clip=clip, detected=detected, camera_notices=cameras.notices)
 
 
 def number_vehicles(detected: list[DetectedVehicle]) -> list[DetectedVehicle]:

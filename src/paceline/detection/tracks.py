@@ -52,6 +52,7 @@ class DetectionTrack:
     frames_unseen: int = 0  # since the last detection
     frames_missed: int = 0  # between the first and the last detection
     beside: DetectionTrack | None = None  # the vehicle abreast, from which a gap separates this one
+    may_be_two: bool = False  # whether some detections, too few, are as wide as two vehicles with a gap between them
     _driving: int = 0  # detections in which it does not stand
     _stride: int = 1
 

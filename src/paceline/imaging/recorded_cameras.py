@@ -60,6 +60,17 @@ class RecordedCameras:
         camera = self.recording.rig.cameras[side]
         return camera.turned(pixels, vectors.reshape(len(frame), *(1,) * (pixels.ndim - 2), 3))
 
+    def with_recorded_outlines(self, clip: Clip, recorded: StereoRecording) -> Clip:
+        """``clip`` with the outlines of its vehicles, found in this recording, where the pictures of the ``recorded``
+        one show them, in its pairs: as a clip.yaml holds them."""
+        vehicles = []
+        for v in clip.vehicles:
+            frames = np.array([v.frame])
+            left, right = (self.as_recorded(frames, o[None], side)[0] for side, o in enumerate((v.left, v.right)))
+            vehicles.append(replace(v, left=left, right=right))
+        clip = replace(clip, vehicles=vehicles)
+        return with_outlines_in_pairs(clip, self.recording, recorded) if self.lag else clip
+
     def with_vehicles(self, clip: Clip) -> RecordedCameras:
         """The same for the vehicles of ``clip``, with how far each moves from the left exposure of its frame to the
         right one."""
