@@ -21,7 +21,7 @@ STRAIGHT, CHASE = ROOT / "examples" / "straight" / "clip.yaml", ROOT / "examples
 @pytest.fixture
 def result() -> ClipResult:
     empty = np.empty(0)
-    tracks = [Track(n, *[empty] * 9, [], *[empty] * 4) for n in ("v0", "v1")]  # type: ignore[arg-type]
+    tracks = [Track(n, *[empty] * 9, [], *[empty] * 5) for n in ("v0", "v1")]  # type: ignore[arg-type]
     measured = [
         Measurement(t.vehicle, t, 20.0, 19.0, 21.0, 0.5, 0.1, 9, "measured", "", "constant speed", notices=["a", "b"])
         for t in tracks

@@ -90,6 +90,7 @@ def track(vehicle: str, first: int = 0, refined: bool = True) -> Track:
         particles_right=left.mean(axis=1)[:, None] + rng.normal(0, 2, (n, 30, 2)),
         refined_speed=np.full(n, 20.1 if refined else NAN),
         refined_std=np.full(n, 0.05 if refined else NAN),
+        hidden=np.zeros(n, bool),
     )
 
 
@@ -188,9 +189,9 @@ def test_summary_is_exact(out: Path) -> None:
         "vehicle": "v0", "speed_mps": 20.1, "speed_lo_mps": 20.0, "speed_hi_mps": 20.2, "frames": 10,
         "verdict": "measured", "reason": "", "reason_code": "", "random_std_mps": 0.03, "systematic_std_mps": 0.04,
         "calibrated_by": 0, "model": "constant speed", "acceleration_mps2": None, "residual_rms": 3.2,
-        "corners_difference_mps": None, "corners_difference_std_mps": None, "interval_from": "fit",
-        "path": "lane0", "direction": "with",
-        "travel": "approaching", "seen_from_s": 3.0, "seen_to_s": pytest.approx(5.0), "limit_mps": 18.0,
+        "outline_offset_px": None, "corners_difference_mps": None, "corners_difference_std_mps": None,
+        "interval_from": "fit", "path": "lane0", "direction": "with", "travel": "approaching", "seen_from_s": 3.0,
+        "seen_to_s": pytest.approx(5.0), "limit_mps": 18.0,
         "compliance": "over", "notices": [], "picture": "pictures/v0.jpg",
     }  # fmt: skip
     assert last["verdict"] == "rejected" and last["reason"].startswith("too few frames")
@@ -337,7 +338,7 @@ def test_tracks_that_are_empty_short_or_unknown(result: ClipResult, tmp_path: Pa
         **{name: np.full(frames, NAN) for name in ("refined_speed", "refined_std")},
         **{name: np.full((frames, 4, 2), NAN) for name in ("left", "right")},
         **{name: np.full((frames, 30, 2), NAN) for name in ("particles_left", "particles_right")},
-        "position": np.full((frames, 3), NAN),
+        "position": np.full((frames, 3), NAN), "hidden": np.zeros(frames, bool),
     }  # fmt: skip
     unknown = rejected("v0")
     unknown = replace(unknown, track=replace(unknown.track, **blank), frames=0)
@@ -360,6 +361,21 @@ class Page(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         self.text += data
+
+
+def test_frames_in_which_the_vehicle_is_hidden_do_not_count_and_are_marked(result: ClipResult, tmp_path: Path) -> None:
+    hidden = np.isin(np.arange(FRAMES), [0, 4, 5])
+    m = measured("v0")
+    m = replace(m, frames=7, outline_offset=0.031, track=replace(m.track, hidden=hidden))
+    some = replace(result, measurements=[m])
+    write_report(some, Recording(), tmp_path / "out", "mph", overlay=False)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "7, over" in page and "; hidden in 3 more frames" in page and "is 0.03 px (RMS) from" in page
+    assert page.count("<td>hidden</td>") == 3 and "left image, frame 1" in page and "left image, frame 0" not in page
+    assert format_label(m, "hidden", "mph") == "v0  hidden"
+    m = replace(m, outline_offset=NAN)
+    write_report(replace(result, measurements=[m]), Recording(), tmp_path / "out", "mph", overlay=False)
+    assert "look whether it does" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
 def test_page_is_complete_and_self_contained(out: Path) -> None:

@@ -136,6 +136,7 @@ def track_of(
         particles_right=_padded([s.points_right for s in results]),
         refined_speed=undefined if speeds is None else speeds,
         refined_std=undefined if stds is None else stds,
+        hidden=np.zeros(len(results), bool),
     )
 
 

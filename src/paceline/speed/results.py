@@ -21,8 +21,8 @@ MIN_TRAVEL_M = 1.0  # of a vehicle whose direction is told
 SUMMARY_COLUMNS = (
     "vehicle", "speed_mps", "speed_lo_mps", "speed_hi_mps", "frames", "verdict", "reason", "reason_code",
     "random_std_mps", "systematic_std_mps", "calibrated_by", "model", "acceleration_mps2", "residual_rms",
-    "corners_difference_mps", "corners_difference_std_mps", "interval_from", "path", "direction", "travel",
-    "seen_from_s", "seen_to_s", "limit_mps", "compliance",
+    "outline_offset_px", "corners_difference_mps", "corners_difference_std_mps", "interval_from", "path", "direction",
+    "travel", "seen_from_s", "seen_to_s", "limit_mps", "compliance",
 )  # fmt: skip
 
 
@@ -45,10 +45,22 @@ class Track:
     particles_right: Array  # (N, P, 2)
     refined_speed: Array  # (N,) m/s, NaN without refinement
     refined_std: Array  # (N,) m/s, systematic part included where known; NaN without refinement
+    hidden: NDArray[np.bool_]  # (N,) tracked by its motion alone: the images do not show the vehicle, and do not count
+
+    @property
+    def appearance(self) -> list[str]:
+        """How each frame shows the vehicle: its status, or ``hidden`` where it is tracked by its motion alone."""
+        pairs = zip(self.status, self.hidden.tolist(), strict=True)
+        return ["hidden" if hidden else status for status, hidden in pairs]
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Which frames (N,) count in the measurement."""
+        return self.tracked & ~self.hidden
 
     @property
     def tracked(self) -> NDArray[np.bool_]:
-        """Which frames (N,) show the vehicle."""
+        """Which frames (N,) the vehicle was tracked in."""
         return np.array([status == "tracking" for status in self.status], bool)
 
     @property
@@ -113,6 +125,7 @@ class Measurement:
     model: str  # e.g. "constant speed", "constant acceleration", "filter" without refinement
     acceleration: float = float("nan")  # m/s², NaN for a constant-speed model
     residual_rms: float = float("nan")  # grey levels of 255, of the refined fit
+    outline_offset: float = float("nan")  # px, RMS over frames and views from where the motion puts the outlined part
     # m/s, how far from the refined speed that by tracked corners is, and its standard deviation; NaN without such
     corners_difference: float = float("nan")
     corners_difference_std: float = float("nan")
@@ -178,6 +191,7 @@ class Measurement:
             "model": self.model,
             "acceleration_mps2": self.acceleration,
             "residual_rms": self.residual_rms,
+            "outline_offset_px": self.outline_offset,
             "corners_difference_mps": self.corners_difference,
             "corners_difference_std_mps": self.corners_difference_std,
             "interval_from": self.interval_from,

@@ -127,7 +127,7 @@ class VehicleMeasurement:
                 refined = self._refined()
         except np.linalg.LinAlgError:
             return self._rejected(message("too_little_texture", test="the equations of its motion are singular"))
-        return self._measured(refined, sum(e.status == "tracking" for e in self.estimates))
+        return self._measured(refined)
 
     def _refined(self) -> RefinedMotion:
         """The refined motion. The direction along the path was chosen from few frames, which may be too near to each
@@ -200,7 +200,7 @@ class VehicleMeasurement:
             curvature_mean,
         )
 
-    def _measured(self, refined: RefinedMotion, frames: int) -> Measurement:
+    def _measured(self, refined: RefinedMotion) -> Measurement:
         interval = SpeedInterval.of(refined)
         reason = (
             acceptance.check_surface(refined, self.keyframes, self.path)
@@ -226,21 +226,23 @@ class VehicleMeasurement:
         model = "constant acceleration" if accelerating else "constant speed"
         model = "changing acceleration" if "varying_acceleration" in terms else model
         model += ", turning" * ("curvature" in terms) + ", swerving" * ("lane_change" in terms)
+        track = self._track(refined)
         return Measurement(
             vehicle=self.vehicle.id,
-            track=self._track(refined),
+            track=track,
             speed=interval.speed,
             speed_lo=interval.speed - interval.half_width,
             speed_hi=interval.speed + interval.half_width,
             random_std=interval.random_std,
             systematic_std=interval.systematic_std,
-            frames=frames,
+            frames=int(track.counted.sum()),
             verdict="rejected" if reason else "measured",
             reason=str(reason),
             reason_code=reason.code,
             model=model,
             acceleration=acceleration if accelerating else float("nan"),
             residual_rms=refined.residual_rms,
+            outline_offset=float(np.sqrt(np.nanmean(refined.offsets**2))),
             corners_difference=float("nan") if second is None else second.difference,
             corners_difference_std=float("nan") if second is None else second.difference_std,
             notices=self._notices(refined),
@@ -338,8 +340,12 @@ class VehicleMeasurement:
     def _track(self, refined: RefinedMotion | None) -> Track:
         E = self.estimates
         refined_speed, refined_std = np.full(len(E), np.nan), np.full(len(E), np.nan)
+        hidden = np.array([e.similarity < MIN_VISIBLE_SIMILARITY for e in E], bool)
         if refined is not None:
             refined_speed, refined_std = (self._by_row(values) for values in refined.speeds())
+            consistent = acceptance.consistent_frames(refined, self.limits)
+            unlike = [k.frame for k, fits in zip(self.keyframes, consistent.tolist(), strict=True) if not fits]
+            hidden |= np.isin([e.frame for e in E], unlike)
         return Track(
             vehicle=self.vehicle.id,
             frame=np.array([e.frame for e in E], np.int64),
@@ -356,6 +362,7 @@ class VehicleMeasurement:
             particles_right=np.array([e.particles_right for e in E]),
             refined_speed=refined_speed,
             refined_std=refined_std,
+            hidden=hidden & np.array([e.status == "tracking" for e in E], bool),
         )
 
 

@@ -114,16 +114,17 @@ class _Layer:
         self.color = color
         self.rejected = measurement.verdict != "measured"
         self.rows = {int(frame): row for row, frame in enumerate(self.track.frame)}
-        tracked_rows = [row for row, status in enumerate(self.track.status) if status == "tracking"]
-        self.still_rows = {tracked_rows[i] for i in (0, len(tracked_rows) // 2, -1)} if tracked_rows else set()
+        self.appearance = self.track.appearance
+        rows = np.flatnonzero(self.track.counted).tolist()  # frames that show the vehicle
+        self.still_rows = {rows[i] for i in (0, len(rows) // 2, -1)} if rows else set()
 
     def outline_color(self, row: int) -> Color:
-        return self.color if self.track.status[row] == "tracking" else LOST_COLOR
+        return self.color if self.appearance[row] == "tracking" else LOST_COLOR
 
 
 def format_label(measurement: Measurement, status: str, unit: str) -> str:
     """The vehicle's speed, the same in every frame, and whether it keeps the limit; or, in a frame of another
-    ``status`` than ``tracking``, that."""
+    ``status`` than ``tracking``, that, such as ``hidden``."""
     if status != "tracking" or measurement.verdict != "measured":
         return f"{measurement.vehicle}  {status if status != 'tracking' else measurement.verdict}"
     text = f"{measurement.vehicle}  {format_measurement(measurement, unit)} {unit}"
@@ -176,7 +177,7 @@ def _draw_view(
             picture, scale_points((layer.track.particles_left, layer.track.particles_right)[side][row], scale)
         )
         draw_outline(picture, corners, color, thickness=1 if layer.rejected else 2)
-        labels.append((format_label(layer.measurement, layer.track.status[row], unit), corners, color))
+        labels.append((format_label(layer.measurement, layer.appearance[row], unit), corners, color))
     label_boxes: list[Box] = []
     for text, corners, color in labels:  # last, so that no outline crosses a label
         above = float(corners[:, 0].min() + corners[:, 0].max()) / 2, float(corners[:, 1].min())

@@ -34,7 +34,7 @@ from paceline.reports.speed.overlay import StereoStill
 from paceline.reports.speed.vehicle_table import identifying_picture, section_anchor, vehicle_table
 from paceline.speed.results import ClipResult, Measurement
 from paceline.units import convert
-from paceline.verdicts import Message
+from paceline.verdicts import Message, plural
 
 
 def write_page(
@@ -67,6 +67,7 @@ def write_page(
             "advice": rejected_advice(m.reason_code),
             "facts": _facts(m, unit),
             "stills": stills[m.vehicle],
+            "outline_check": _outline_check(m),
             "plots": plots[m.vehicle],
             "rows": _rows(m, unit),
         }
@@ -129,7 +130,7 @@ def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
     seconds = float(np.ptp(track.time[tracked])) if tracked.any() else 0.0
     depth = track.position[tracked, 2]
     facts = [
-        ("frames measured", f"{measurement.frames}, over {seconds:.2f} s"),
+        ("frames measured", _counted_frames(measurement, seconds)),
         ("distance travelled", f"{format_number(distance_travelled(track), 1)} m"),
         ("motion model", measurement.model),
     ]
@@ -145,6 +146,23 @@ def _facts(measurement: Measurement, unit: str) -> list[tuple[str, str]]:
     return facts
 
 
+def _counted_frames(measurement: Measurement, seconds: float) -> str:
+    """How many frames counted, over so many ``seconds``, and in how many it was hidden."""
+    hidden = int(measurement.track.hidden.sum())
+    counted = f"{measurement.frames}, over {seconds:.2f} s"
+    return f"{counted}; hidden in {plural(hidden, 'more frame')}" if hidden else counted
+
+
+def _outline_check(measurement: Measurement) -> str:
+    """Whether the outline stays on the same part of the vehicle, as far as that was checked."""
+    if (offset := format_number(measurement.outline_offset, 2)) == NO_VALUE:
+        return "Nothing has checked that the outline stays on the same part of the vehicle: look whether it does."
+    return (
+        "That the outline stays on the same part of the vehicle was checked: in both views of the frames that were "
+        f"fitted, that part is {offset} px (RMS) from where the motion puts it."
+    )
+
+
 def _rows(measurement: Measurement, unit: str) -> list[list[str]]:
     """The table of frames as text."""
     track = measurement.track
@@ -156,7 +174,7 @@ def _rows(measurement: Measurement, unit: str) -> list[list[str]]:
     columns = (
         [str(frame) for frame in track.frame],
         [f"{time:.3f}" for time in track.time],
-        track.status,
+        track.appearance,
         align_for_page(speeds),
         align_for_page(filtered),
         [format_number(float(z), 2) for z in track.position[:, 2]],

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paceline.arrays import Array
+from paceline.arrays import Array, Mask
 from paceline.reports.common.formatting import coverage_factor, interval_title
 from paceline.reports.common.plots import (
     FILTER_COLOR,
@@ -52,7 +52,7 @@ def _draw_speed(figure: Figure, measurement: Measurement, unit: str) -> None:
     time = track.time
     mean, spread = convert(track.speed, unit), convert(2 * track.speed_std, unit)
     axes.fill_between(time, mean - spread, mean + spread, color=FILTER_COLOR, alpha=0.22, lw=0, label="filter ± 2 std")
-    _draw_frames(axes, time, mean, FILTER_COLOR, label="filter, frame by frame")
+    _draw_frames(axes, time, mean, FILTER_COLOR, track.hidden, label="filter, frame by frame")
     refined = np.isfinite(track.refined_speed)
     visible = [mean]
     if refined.any():
@@ -90,17 +90,18 @@ def _central_values(values: Array) -> Array:
 
 def _draw_depth(figure: Figure, track: Track, color: str) -> None:
     axes = figure.subplots()
-    _draw_frames(axes, track.time, track.position[:, 2], color)
+    _draw_frames(axes, track.time, track.position[:, 2], color, track.hidden)
     axes.set_ylabel("distance ahead of the camera, m")
     _label_time(axes, track)
 
 
 def _draw_particles(figure: Figure, track: Track) -> None:
     spread, sample = figure.subplots(2, sharex=True)
-    _draw_frames(spread, track.time, np.array([_spread(points) for points in track.particles_left]), FILTER_COLOR)
+    spreads = np.array([_spread(points) for points in track.particles_left])
+    _draw_frames(spread, track.time, spreads, FILTER_COLOR, track.hidden)
     spread.set_ylim(bottom=0)
     spread.set_title("spread of the particles, pixels")
-    _draw_frames(sample, track.time, track.ess, FILTER_COLOR)
+    _draw_frames(sample, track.time, track.ess, FILTER_COLOR, track.hidden)
     sample.set_ylim(bottom=0)
     sample.set_title("effective sample size")
     _label_time(sample, track)
@@ -119,8 +120,9 @@ def _draw_plan(figure: Figure, result: ClipResult, colors: dict[str, str]) -> No
             path.points[:, 2], -path.points[:, 0], color=MUTED_COLOR, lw=1, ls=(0, (6, 3)), label=f"path {path.name}"
         )
     for measurement in result.measurements:
-        x, _, z = measurement.track.position.T
-        _draw_frames(axes, z, -x, colors[measurement.vehicle], label=f"vehicle {measurement.vehicle}")
+        track = measurement.track
+        x, _, z = track.position.T
+        _draw_frames(axes, z, -x, colors[measurement.vehicle], track.hidden, label=f"vehicle {measurement.vehicle}")
     axes.plot(0, 0, marker=">", color=INK_COLOR, ms=7, ls="", label="left camera")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("distance ahead, m")
@@ -128,9 +130,13 @@ def _draw_plan(figure: Figure, result: ClipResult, colors: dict[str, str]) -> No
     figure.legend(loc="outside upper left", ncols=6, handlelength=1.6, columnspacing=1.6)
 
 
-def _draw_frames(axes: Axes, x: Array, y: Array, color: str, label: str | None = None) -> None:
-    """A line, with a dot per frame for at most MAX_DOTTED_FRAMES."""
-    axes.plot(x, y, color=color, lw=1.4, marker="o" if len(x) <= MAX_DOTTED_FRAMES else "", ms=3, label=label)
+def _draw_frames(axes: Axes, x: Array, y: Array, color: str, hidden: Mask, label: str | None = None) -> None:
+    """A line, with a dot per frame for at most MAX_DOTTED_FRAMES, and a cross for each that is ``hidden``."""
+    axes.plot(x, y, color=color, lw=1.4, label=label)
+    if len(x) <= MAX_DOTTED_FRAMES:
+        axes.plot(x[~hidden], y[~hidden], color=color, ls="", marker="o", ms=3)
+    if hidden.any():
+        axes.plot(x[hidden], y[hidden], color=MUTED_COLOR, ls="", marker="x", ms=5, label=label and f"{label}, hidden")
 
 
 def _label_time(axes: Axes, track: Track) -> None:
