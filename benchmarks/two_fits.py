@@ -137,9 +137,9 @@ def case_of(scene: Scene, changed: Callable[[Clip], Clip] = lambda clip: clip, d
         VehicleMeasurement._measured, PhotometricFit.average_over_grids, VehicleMeasurement.result
     )  # fmt: skip
 
-    def keep_measured(vehicle: VehicleMeasurement, refined: RefinedMotion, frames: int) -> Measurement:
+    def keep_measured(vehicle: VehicleMeasurement, refined: RefinedMotion) -> Measurement:
         kept.update(vehicle=vehicle.vehicle, refined=refined, keyframes=vehicle.keyframes)
-        return measure(vehicle, refined, frames)
+        return measure(vehicle, refined)
 
     def keep_fit(fit: PhotometricFit) -> tuple[Array, Array, float]:
         kept["fit"] = fit

@@ -40,9 +40,9 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[RefinedMotion, l
     kept: dict[str, Any] = {}
     measure = VehicleMeasurement._measured
 
-    def keep(run: VehicleMeasurement, refined: RefinedMotion, frames: int) -> Measurement:
+    def keep(run: VehicleMeasurement, refined: RefinedMotion) -> Measurement:
         kept.update(refined=refined, keyframes=run.keyframes)
-        return measure(run, refined, frames)
+        return measure(run, refined)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(VehicleMeasurement, "_measured", keep)
