@@ -16,9 +16,9 @@ from paceline.reports import write_report
 from paceline.reports.common.formatting import recording_title
 from paceline.reports.common.sortable_table import rank
 from paceline.reports.speed.distribution import (
+    LIMIT_QUANTILE,
     MANY_VEHICLES,
     MIN_UPPER_LIMIT_VEHICLES,
-    PERCENTILE,
     describe_distribution,
     percentile_interval,
 )
@@ -92,12 +92,12 @@ def test_a_handful_has_no_distribution() -> None:
 
 def test_the_percentiles_interval_holds_it_as_often_as_stated() -> None:
     samples = np.random.default_rng(1).uniform(0, 1, (2000, 60))
-    ends = np.array([percentile_interval(sample, PERCENTILE, 0.95) for sample in samples])
-    share = float(((ends[:, 0] <= PERCENTILE) & (ends[:, 1] >= PERCENTILE)).mean())
+    ends = np.array([percentile_interval(sample, LIMIT_QUANTILE, 0.95) for sample in samples])
+    share = float(((ends[:, 0] <= LIMIT_QUANTILE) & (ends[:, 1] >= LIMIT_QUANTILE)).mean())
     assert 0.94 < share < 0.99
     few = np.arange(float(MIN_UPPER_LIMIT_VEHICLES))
-    assert np.isfinite(percentile_interval(few, PERCENTILE, 0.95)).all()
-    assert np.isnan(percentile_interval(few[1:], PERCENTILE, 0.95)).tolist() == [False, True]
+    assert np.isfinite(percentile_interval(few, LIMIT_QUANTILE, 0.95)).all()
+    assert np.isnan(percentile_interval(few[1:], LIMIT_QUANTILE, 0.95)).tolist() == [False, True]
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from paceline.verification.comparison import VehicleError
     from paceline.verification.saved_results import SavedResult
 
-DECIMALS = 2  # of errors, in the displayed unit
+ERROR_DECIMALS = 2  # of errors, in the displayed unit
 
 
 def compare(
@@ -60,7 +60,7 @@ def _vehicle_rows(
     results: list[SavedResult], errors: list[list[VehicleError]], unit: SpeedUnit, true: str
 ) -> list[list[str]]:
     """A row for each vehicle of each result; ``true`` is what true speeds are called."""
-    from paceline.reports.common.formatting import align_decimals, format_number, format_speed
+    from paceline.reports.common.formatting import format_number, format_speed
     from paceline.units import convert
     from paceline.verification.comparison import largest, rms
 
@@ -79,21 +79,19 @@ def _vehicle_rows(
                     format_number(convert(e.true_speed, unit), text.decimals),
                     format_number(convert(e.error, unit), text.decimals),
                     "yes" if e.inside else "no",
-                    *(format_number(convert(number, unit), DECIMALS) for number in numbers),
+                    *(format_number(convert(number, unit), ERROR_DECIMALS) for number in numbers),
                 ]
             )
     rows.sort(key=lambda row: row[0])
-    columns = [list(column) for column in zip(*rows, strict=True)]
-    columns = [column if i in (0, 1, 5) else align_decimals(column) for i, column in enumerate(columns)]
     head = ["vehicle", "result", f"speed, {unit}", true, "error", "inside", "frames: RMS", "worst", "refined: RMS"]
-    return [head, *(list(row) for row in zip(*columns, strict=True))]
+    return _aligned(head, rows, words=(0, 1, 5))
 
 
 def _result_rows(results: list[SavedResult], errors: list[list[VehicleError]], unit: SpeedUnit) -> list[list[str]]:
     """A row for each result over all its vehicles."""
     import numpy as np
 
-    from paceline.reports.common.formatting import align_decimals, format_number
+    from paceline.reports.common.formatting import format_number
     from paceline.units import convert
     from paceline.verification.comparison import all_errors, all_frame_errors, largest, rms
 
@@ -102,7 +100,7 @@ def _result_rows(results: list[SavedResult], errors: list[list[VehicleError]], u
         means, frames = all_errors(of_result), all_frame_errors(of_result)
         bias = float(np.mean(means)) if len(means) else float("nan")
         numbers = [rms(means), largest(means), bias, rms(frames), largest(frames)]
-        texts = [format_number(convert(number, unit), DECIMALS) for number in numbers]
+        texts = [format_number(convert(number, unit), ERROR_DECIMALS) for number in numbers]
         measured = sum(v.verdict == "measured" for v in result.vehicles)
         rows.append(
             [
@@ -113,7 +111,14 @@ def _result_rows(results: list[SavedResult], errors: list[list[VehicleError]], u
                 *texts,
             ]
         )
-    columns = [list(column) for column in zip(*rows, strict=True)]
-    columns = [column if i < 4 else align_decimals(column) for i, column in enumerate(columns)]
     head = ["result", "method", "measured", "inside", f"RMS, {unit}", "worst", "bias", "frames: RMS", "worst"]
+    return _aligned(head, rows, words=(0, 1, 2, 3))
+
+
+def _aligned(head: list[str], rows: list[list[str]], words: tuple[int, ...]) -> list[list[str]]:
+    """A table of ``head`` and ``rows``, the numbers aligned in all columns but those of ``words``."""
+    from paceline.reports.common.formatting import align_decimals
+
+    columns = [list(column) for column in zip(*rows, strict=True)]
+    columns = [column if i in words else align_decimals(column) for i, column in enumerate(columns)]
     return [head, *(list(row) for row in zip(*columns, strict=True))]

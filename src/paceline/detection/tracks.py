@@ -95,7 +95,8 @@ class DetectionTrack:
     @property
     def is_moving(self) -> bool:
         """Whether it has travelled, before or after it stood."""
-        return self.motion.exceeds(MIN_TRAVEL_M_PX) or bool(self.motion.drives())
+        motion = self.motion
+        return motion.exceeds(MIN_TRAVEL_M_PX) or bool(motion.drives())
 
     @property
     def _stands(self) -> bool:
@@ -246,13 +247,13 @@ class TrackAssociator:
     def associate(self, time: float, detections: list[Detection]) -> list[DetectionTrack]:
         """Add ``detections`` at ``time`` to the tracks, or begin new ones; returns the tracks that have ended by
         now."""
-        pairs = [  # moving tracks first: a stationary object, such as a bush, is hidden by a vehicle and seen again
-            # later
-            (track.is_moving, similarity(track.last, detection), i, j)
-            for i, track in enumerate(self.tracks)
-            for j, detection in enumerate(detections)
-            if track.last is not None and track.in_gate(detection)
-        ]
+        pairs: list[tuple[bool, float, int, int]] = []
+        for i, track in enumerate(self.tracks):
+            if track.last is None or not (near := [j for j, d in enumerate(detections) if track.in_gate(d)]):
+                continue
+            # moving tracks first: a stationary object, such as a bush, is hidden by a vehicle and seen again later
+            is_moving = track.is_moving
+            pairs += [(is_moving, similarity(track.last, detections[j]), i, j) for j in near]
         taken_tracks: set[int] = set()
         used_detections: set[int] = set()
         for _, score, i, j in sorted(pairs, reverse=True):

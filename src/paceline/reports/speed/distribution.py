@@ -16,7 +16,7 @@ from paceline.speed.results import CONFIDENCE_LEVEL
 from paceline.units import convert
 
 MANY_VEHICLES = 8  # more are shown as a table with their distribution
-PERCENTILE = 0.85  # the one that limits are set by
+LIMIT_QUANTILE = 0.85  # of speeds, by which limits are set
 MIN_UPPER_LIMIT_VEHICLES = 23  # the fewest of which one exceeds the percentile with 97.5 % probability
 
 
@@ -39,7 +39,7 @@ def describe_distribution(speeds: Array, unit: str, limit: float | None = None) 
     shown = convert(speeds, unit)
     mean = float(shown.mean())
     half = float(stdtrit(len(shown) - 1, 0.5 + CONFIDENCE_LEVEL / 2) * shown.std(ddof=1) / np.sqrt(len(shown)))
-    percentile = float(np.quantile(shown, PERCENTILE))
+    percentile = float(np.quantile(shown, LIMIT_QUANTILE))
     limit_shown = None if limit is None else convert(limit, unit)
     plot = make_plot(
         "distribution",
@@ -65,7 +65,7 @@ def percentile_interval(values: Array, share: float, confidence: float) -> tuple
 
 def _note(shown: Array, unit: str) -> str:
     """What the figures are worth."""
-    lo, hi = (format_number(end, 1) for end in percentile_interval(shown, PERCENTILE, CONFIDENCE_LEVEL))
+    lo, hi = (format_number(end, 1) for end in percentile_interval(shown, LIMIT_QUANTILE, CONFIDENCE_LEVEL))
     if hi != NO_VALUE:
         place = f"between {lo} and {hi} {unit}"
     elif lo != NO_VALUE:
