@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from paceline.documents.loading import Clip, load_clip
 from paceline.geometry import triangulate
 from paceline.imaging.frame_times import clear_part, estimate_steps, frame_times, longest_increasing, rate_conversion
+from paceline.imaging.moving_features import moving_features
 from paceline.imaging.recorded_cameras import estimate_cameras
 from paceline.imaging.rigid_motions import Displacement, Interval, displacement_covariance, rigid_motions
 from paceline.recordings.stereo import open_recording
@@ -230,7 +231,8 @@ def spoiled(clean: RenderedClip, folder: Path, left: Sequence[int], right: Seque
 def test_displacements_are_those_of_the_vehicle_within_their_covariance(clean: RenderedClip, tmp_path: Path) -> None:
     clip = spoiled(clean, tmp_path, range(11))
     places = {row["frame"]: np.array(row["position"]) for row in clean.truth}
-    seen = list(rigid_motions(clip.rig, open_recording(clip).frames()))
+    features = moving_features(clip.rig, open_recording(clip).frames())
+    seen = list(rigid_motions(clip.rig, features))
     assert [(i.first, i.second) for i in seen] == [(k, k + 1) for k in range(10)]
     squares = []
     for interval in seen:

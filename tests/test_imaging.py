@@ -27,7 +27,7 @@ from paceline.imaging.camera_rotation import (
     rotation_jacobian,
 )
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals, velocity_across
-from paceline.imaging.feature_matches import NO_MATCHES, Matches, match_views, velocity_and_growth
+from paceline.imaging.feature_matches import NO_MATCHES, InstantFeatures, Matches, match_static, velocity_and_growth
 from paceline.recordings.live_stereo import LiveStereo
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.stereo.clip import render, write
@@ -467,6 +467,6 @@ def test_swaying_cameras_are_steadied_and_results_are_where_they_were_recorded(l
 
 def test_matches_of_a_clip_lie_on_their_epipolar_lines_where_nothing_moves(late_clip):
     recording = open_recording(load_clip(late_clip))
-    static, moving = match_views(recording)
+    static, moving = match_static(recording), InstantFeatures(recording).matches()
     assert len(static.left) > 20 and len(moving.left) > 20
     assert np.median(np.abs(epipolar_distance(recording.rig, static.left, static.right))) < 0.1

@@ -22,14 +22,21 @@ VIEW_NAMES = ("left", "right")
 _TO_CONVERGENCE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)  # the default stops 0.2 px short
 
 
+# What `cubic_sampling_places` adds to the whole part of a coordinate, by its fraction; OpenCV rounds places to 1/32 px
+_FRACTIONS = 4096
+_FROM_MIDDLE = (np.arange(_FRACTIONS) + 0.5) / _FRACTIONS - 0.5
+_CUBIC_SAMPLING_FRACTIONS = (0.5 + np.sinh(np.arcsinh(4 * _FROM_MIDDLE) / 3)).astype(np.float32)
+
+
 def cubic_sampling_places(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
     """The coordinates at which OpenCV's bicubic interpolation has the grey values of ``pixels`` of a smooth picture.
 
     Its kernel (Keys 1981 with a = −0.75, for which only a = −0.5 is exact) takes a grey-value ramp at the coordinate s
     between two pixels, 0 ≤ s ≤ 1, from s + s (1 − s) (1 − 2 s) / 2, up to 0.05 px beside it; this is the inverse.
     """
-    middle = np.floor(pixels) + np.float32(0.5)
-    return np.asarray(middle + np.sinh(np.arcsinh(4 * (pixels - middle)) / 3), np.float32)
+    floor = np.floor(pixels)
+    fraction = ((pixels - floor) * np.float32(_FRACTIONS)).astype(np.int16)
+    return np.asarray(floor + _CUBIC_SAMPLING_FRACTIONS.take(fraction, mode="clip"), np.float32)
 
 
 @dataclass(frozen=True)

@@ -7,21 +7,16 @@ true lag they lie on their epipolar lines, at others they are off by their motio
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 
-import cv2
 import numpy as np
 
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.geometry import epipolar_distance
 from paceline.imaging.epipolar_fit import MIN_MOVING_MATCHES, OUTLIER_PX, velocity_across
-from paceline.imaging.feature_matches import (
-    FEATURE_CONTRAST,
-    MAX_RATIO,
-    MovingFeatures,
-    left_motion,
-    moving_features,
-)
+from paceline.imaging.feature_matches import frames_looked_at, left_motion, velocity_step
+from paceline.imaging.moving_features import MAX_RATIO, Features, MovingFeatures, moving_features
 from paceline.recordings.stereo import StereoRecording
 from paceline.sift_features import match_descriptors
 
@@ -54,14 +49,20 @@ def estimate_lag(recording: StereoRecording) -> float:
 
     It is 0 unless far more of what moves agrees with another.
     """
-    detector = cv2.SIFT.create(contrastThreshold=FEATURE_CONTRAST)
-    instants = moving_features(detector, recording, MAX_LAG_INSTANTS)
-    if len(instants) < 3:
+    found = instants_with_motion(recording, MAX_LAG_INSTANTS)
+    if len(found) < 3:
         return 0.0
-    interval = float(np.median(np.diff([f.time for f in instants])))
+    interval = float(np.median(np.diff([f.time for f in found])))
     reach = int(MAX_LAG_S / interval)
     lags = np.arange(-reach, reach + 1)
-    agreements = [matches_at(recording.rig, instants, k, interval).agreement(interval) for k in lags.tolist()]
+    numbered = {round(f.time / interval): f for f in found}
+    left = {
+        n: in_motion(numbered[n - 1], f, numbered[n + 1])
+        for n, f in numbered.items()
+        if {n - 1, n + 1} <= numbered.keys()
+    }
+    right = {n: f.right for n, f in numbered.items()}
+    agreements = [matches_at(recording.rig, left, right, k).agreement(interval) for k in lags.tolist()]
     counts = np.array([count for count, _ in agreements])
     best = int(np.argmax(counts))
     others = counts[np.abs(lags - lags[best]) > 1]
@@ -72,17 +73,31 @@ def estimate_lag(recording: StereoRecording) -> float:
     return frame_interval * round((float(lags[best]) * interval + agreements[best][1]) / frame_interval)
 
 
-def matches_at(rig: StereoRig, instants: list[MovingFeatures], lag: int, interval: float) -> LaggedMatches:
-    """The matches between each left view and the right one of ``lag`` instants before, ``interval`` s each."""
+def instants_with_motion(recording: StereoRecording, count: int) -> list[MovingFeatures]:
+    """The features of up to ``count`` instants of the beginning of ``recording`` at which something moves."""
+    step = velocity_step(recording)
+    numbers = frozenset(recording.indices[step : frames_looked_at(recording) - step : step].tolist())
+    frames = recording.frames(0, max(numbers, default=-1) + step + 1)
+    features = (f for _, f in moving_features(recording.rig, frames, numbers))
+    return list(islice((f for f in features if len(f.left[0]) or len(f.right[0])), count))
+
+
+def in_motion(before: MovingFeatures, f: MovingFeatures, after: MovingFeatures) -> tuple[Features, Array]:
+    """The left features (N,) of ``f`` that are found ``before`` and ``after``, and their velocities (N, 2) px/s."""
+    rows, velocity, _ = left_motion(before, f, after)
+    return (f.left[0][rows], f.left[1][rows]), velocity
+
+
+def matches_at(
+    rig: StereoRig, moving: dict[int, tuple[Features, Array]], right: dict[int, Features], lag: int
+) -> LaggedMatches:
+    """The matches between the ``moving`` features of each instant's left view and those of the ``right`` one ``lag``
+    instants before."""
     distances, velocities = [np.zeros(0)], [np.zeros(0)]
-    numbers = {round(f.time / interval): f for f in instants}
-    for n, f in numbers.items():
-        before, after, lagged = (numbers.get(k) for k in (n - 1, n + 1, n - lag))
-        if before is None or after is None or lagged is None:
-            continue
-        rows, velocity, _ = left_motion(before, f, after)
-        i, j = match_descriptors(f.left[1][rows], lagged.right[1], MAX_RATIO)
-        left, right = f.left[0][rows][i], lagged.right[0][j]
-        distances.append(epipolar_distance(rig, left, right))
-        velocities.append(velocity_across(rig, left, right, velocity[i]))
+    for n, ((places, descriptors), velocity) in moving.items():
+        if (lagged := right.get(n - lag)) is not None:
+            i, j = match_descriptors(descriptors, lagged[1], MAX_RATIO)
+            pair = places[i], lagged[0][j]
+            distances.append(epipolar_distance(rig, *pair))
+            velocities.append(velocity_across(rig, *pair, velocity[i]))
     return LaggedMatches(np.concatenate(distances), np.concatenate(velocities))

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from paceline.arrays import Array, Indices, Mask
+from paceline.imaging.moving_features import MovingFeatures
 from paceline.imaging.rigid_motions import Displacement, Interval, rigid_motions
 from paceline.progress import Progress
-from paceline.recordings.stereo import StereoRecording
+from paceline.recordings.stereo import StereoFrame, StereoRecording
 
 FRAME_STEPS = (1, 0, 2, 3, 4, 5, -1, -2)  # intervals from one frame to the next
 FAULT_PROBABILITY = 1e-6  # of each step but 1; recorders that have repeated pictures do so again more often,
@@ -149,11 +150,15 @@ class FrameTimes:
 
 
 def estimate_frame_times(
-    recording: StereoRecording, outlined: Sequence[int] = (), progress: Progress | None = None
+    recording: StereoRecording,
+    features: Iterable[tuple[StereoFrame, MovingFeatures]],
+    outlined: Sequence[int] = (),
+    progress: Progress | None = None,
 ) -> FrameTimes:
-    """When the frames of ``recording`` were taken, by what moves in them; those ``outlined`` are kept if possible."""
+    """When the frames of ``recording`` were taken, by the ``features`` of what moves in each; those ``outlined`` are
+    kept if possible."""
     period = recording.pairing.interval
-    intervals = reported(rigid_motions(recording.rig, recording.frames()), len(recording), progress)
+    intervals = reported(rigid_motions(recording.rig, features), len(recording), progress)
     frames, steps, unclear = estimate_steps(intervals, period)
     seconds = np.array([second for _, second in frames], np.int64)
     corrected = frame_times(recording.indices, recording.times, seconds, np.array(steps, np.int64), period, outlined)

@@ -11,10 +11,13 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.geometry import triangulate
+from paceline.imaging.moving_features import PICTURE_REDUCTION, reduced
 
 SCALE_CANDIDATES = np.geomspace(0.72, 1.4, 23)  # of the template from the first frame to the second
 MAX_SPEED_MPS = 60.0  # of a vehicle whose template is looked for
 MIN_OUTLINE_SIZE_M = 1.5  # least root of an outline's area
+MIN_REDUCED_TEMPLATE_PX = 12  # least side of a template that is looked for in the reduced picture first …
+MAX_REDUCED_SHIFT_PX = 4.0  # … which tells its place to this
 ALIGNMENT_SMOOTHING_PX = 1.0
 RIM_SHARE = 0.05  # of an outline's width and height that is not aligned
 MAX_ALIGNMENT_SHARE = 0.25  # by which an alignment may move a corner, as a share of the outline's shorter side
@@ -83,15 +86,34 @@ def match_template(first: Image, second: Image, quad: Array, reach: float) -> tu
     across = int(reach) + (x1 - x0) // 4
     down = int(min(reach, 0.25 * reach + (y1 - y0)))
     left, top = max(x0 - across, 0), max(y0 - down, 0)
-    window = second[top : y1 + down, left : x1 + across]
-    best = (-1.0, np.zeros(2), 1.0)
-    for growth in SCALE_CANDIDATES:
-        scaled = cv2.resize(template, None, fx=growth, fy=growth, interpolation=cv2.INTER_LINEAR)
+    window, corner, scales = second[top : y1 + down, left : x1 + across], np.array([left, top]), SCALE_CANDIDATES
+    if min(template.shape) >= MIN_REDUCED_TEMPLATE_PX * PICTURE_REDUCTION:  # where about is seen in the reduced picture
+        if (rough := _best_match(reduced(template), reduced(window), scales)) is None:
+            return np.zeros(2), 1.0
+        middle, scale = PICTURE_REDUCTION * rough[0], int(rough[1])
+        scales = scales[max(scale - 1, 0) : scale + 2]
+        half = scales[-1] * np.array(template.shape[::-1]) / 2 + MAX_REDUCED_SHIFT_PX
+        start, end = np.maximum(np.floor(middle - half).astype(int), 0), np.ceil(middle + half).astype(int)
+        window, corner = window[start[1] : end[1], start[0] : end[0]], corner + start
+    if (best := _best_match(template, window, scales)) is None:
+        return np.zeros(2), 1.0
+    return corner + best[0] - np.array([x0 + x1, y0 + y1]) / 2, float(scales[best[1]])
+
+
+def _best_match(template: Image, window: Image, scales: Array) -> tuple[Array, int] | None:
+    """The middle (2,) px of the part of a ``window`` (H, W) that correlates best with the ``template`` at any of the
+    ``scales``, and which of them; None where the window is too small for it."""
+    best: tuple[Array, int] | None = None
+    best_score = -1.0
+    for number, scale in enumerate(scales.tolist()):
+        scaled = cv2.resize(template, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
         if scaled.shape[0] > window.shape[0] or scaled.shape[1] > window.shape[1]:
             continue
         scores = cv2.matchTemplate(window, scaled, cv2.TM_CCOEFF_NORMED)
         y, x = np.unravel_index(int(np.argmax(scores)), scores.shape)
-        if scores[y, x] > best[0]:
-            middle = np.array([left + x + scaled.shape[1] / 2, top + y + scaled.shape[0] / 2])
-            best = (float(scores[y, x]), middle - np.array([x0 + x1, y0 + y1]) / 2, float(growth))
-    return best[1], best[2]
+        if scores[y, x] > best_score:
+            best_score, best = (
+                float(scores[y, x]),
+                (np.array([x + scaled.shape[1] / 2, y + scaled.shape[0] / 2]), number),
+            )
+    return best

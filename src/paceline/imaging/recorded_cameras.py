@@ -20,10 +20,11 @@ from paceline.documents.loading import Clip, VehicleDocument, require_same_part
 from paceline.errors import UnusableInput
 from paceline.imaging.camera_rotation import MIN_KNOWN_SHARE, CameraRotations, estimate_rotations, expected_rotations
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
-from paceline.imaging.feature_matches import match_views, velocity_step
+from paceline.imaging.feature_matches import InstantFeatures, match_static, velocity_step
 from paceline.imaging.frame_lag import estimate_lag
 from paceline.imaging.frame_times import FrameTimes, estimate_frame_times
 from paceline.imaging.lasting_turns import LastingTurn, lasting_turn
+from paceline.imaging.moving_features import moving_features
 from paceline.imaging.outline_motion import displacement_between_exposures, followed, motion_by_depth
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording, counted_frames
@@ -182,17 +183,20 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     rotations = estimate_rotations(recording, reference_frame(clip, recording, lag), progress)
     vectors = expected_rotations(rotations) if rotations.is_stationary else np.zeros_like(rotations.vectors)
     steady = recording.corrected(0.0, vectors if vectors.any() else None)
-    frame_times = None
+    frame_times, of_instants = None, InstantFeatures(steady)
     if rotations.is_stationary:
-        frame_times = estimate_frame_times(steady, [v.frame for v in clip.vehicles], progress)
+        features = of_instants.passing(moving_features(steady.rig, steady.frames()))
+        frame_times = estimate_frame_times(steady, features, [v.frame for v in clip.vehicles], progress)
         if not frame_times.kept.all() or frame_times.gaps:
             steady = steady.retimed(frame_times.times, frame_times.kept)
             clip = with_kept_frames(clip, frame_times)
+            of_instants = InstantFeatures(steady)
     if clip.offset is not None and rig.uncertainty is None:  # matches could tell nothing that is not known
         fit = EpipolarFit(rig, 0.0, None, None)
     else:
         expected = clip.offset or Quantity(0.0, interval / 2, "assumed")
-        fit = fit_epipolar_residuals(rig, *match_views(steady), expected, readout_difference_std(rig))
+        static, moving = match_static(steady), of_instants.matches()
+        fit = fit_epipolar_residuals(rig, static, moving, expected, readout_difference_std(rig))
     offset = clip.offset or (fit.offset if lag and fit.offset else expected_offset(fit.offset, interval))
     steady = steady.corrected(offset.value, steady.rotations)
     offset = replace(offset, value=lag + offset.value)

@@ -1,37 +1,27 @@
 """How far what moves has moved in space from each frame to the next: displacements of groups of points that move alike.
 
-Features (SIFT) of the moving parts of both views are matched between the views and over time. Points that move alike,
+Features of the moving parts of both views are matched between the views and over time. Points that move alike,
 as those of a vehicle do, are one group, which its points carry on from frame to frame.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from paceline.arrays import Array, Indices, Mask, to_8_bit
 from paceline.cameras import StereoRig
 from paceline.geometry import triangulate
 from paceline.imaging.camera_rotation import TRACKING_PRECISION_PX
-from paceline.imaging.feature_matches import (
-    FEATURE_CONTRAST,
-    MAX_RATIO,
-    masked_features,
-    match_pair,
-    motion_mask,
-    views,
-)
+from paceline.imaging.moving_features import MAX_RATIO, WINDOW_FRAMES, MovingFeatures
 from paceline.imaging.point_tracking import track_forth_and_back
 from paceline.imaging.robust_weights import tukey_weights
 from paceline.recordings.stereo import StereoFrame
 from paceline.sift_features import Descriptors, match_descriptors
 
-WINDOW_FRAMES = 5  # frames before and after one that may repeat it: where something moves in them, it is looked at
-MAX_WHOLE_AREA_PX = 200 * 200  # larger regions show enough in the reduced picture
 MIN_GROUP_POINTS = 5  # that move alike
 MIN_CARRIED_POINTS = 3  # of these that were in the group before
 MIN_GROUP_SHARE = 0.5  # of the points of a group that are found again
@@ -89,17 +79,17 @@ class _Links:
     pixels: Array
 
 
-def rigid_motions(rig: StereoRig, frames: Iterable[StereoFrame]) -> Iterator[Interval]:
-    """Every interval between successive ``frames``, with the displacements of the groups of points that move in it.
+def rigid_motions(rig: StereoRig, features: Iterable[tuple[StereoFrame, MovingFeatures]]) -> Iterator[Interval]:
+    """Every interval between successive frames, with the displacements of the groups of points that move in it, by the
+    ``features`` of each.
 
     A group that begins to move is followed back over up to `WINDOW_FRAMES` intervals in which it does not: an interval
     is given when those after it have been looked at.
     """
-    detector = cv2.SIFT.create(contrastThreshold=FEATURE_CONTRAST)
     groups = _Groups()
     previous: tuple[StereoFrame, _Points] | None = None
-    for frame, masks in _with_masks(frames):
-        points = _points(detector, rig, frame, masks)
+    for frame, moving in features:
+        points = _points(rig, moving)
         if previous is not None:
             earlier, earlier_points = previous
             links = _link(rig, earlier, frame, earlier_points, points)
@@ -201,15 +191,11 @@ def _is_near(links: _Links, rows: Indices, vector: Array) -> Mask:
     return np.asarray(inliers & _moves(links)[rows])
 
 
-def _points(detector: cv2.SIFT, rig: StereoRig, frame: StereoFrame, masks: Sequence[Mask]) -> _Points:
-    (left, descriptors), right = (
-        masked_features(detector, image, mask, MAX_WHOLE_AREA_PX)
-        for image, mask in zip(views(frame), masks, strict=True)
-    )
-    rows, found, refined = match_pair(rig, frame, (left, descriptors), right)
-    places = triangulate(rig, found, refined) if len(found) else np.zeros((0, 3))
+def _points(rig: StereoRig, features: MovingFeatures) -> _Points:
+    (left, descriptors), rows, right = features.left, features.matched, features.places
+    places = triangulate(rig, left[rows], right) if len(rows) else np.zeros((0, 3))
     near = (places[:, 2] > 0) & (places[:, 2] < MAX_DEPTH_M)
-    return _Points(found[near], refined[near], places[near], descriptors[rows[near]])
+    return _Points(left[rows][near], right[near], places[near], descriptors[rows[near]])
 
 
 def _link(rig: StereoRig, earlier: StereoFrame, later: StereoFrame, a: _Points, b: _Points) -> _Links:
@@ -245,36 +231,3 @@ def displacement_covariance(
     place_variance = np.square(place_std) + DISTORTION_STD**2 * (pixels**2).sum(1)
     by_place = place_variance * (later[:, 2] / focal) ** 2
     return np.asarray(by_disparity[:, None, None] * along + by_place[:, None, None] * (np.eye(3) - along))
-
-
-def _with_masks(frames: Iterable[StereoFrame]) -> Iterator[tuple[StereoFrame, tuple[Mask, Mask]]]:
-    """Each of the ``frames``, with where something moves in both views, reduced: from the frame before or to the next,
-    or, where nothing does, in the intervals around."""
-    window: deque[StereoFrame] = deque()
-    changes: deque[tuple[Mask, Mask]] = deque()  # where something has moved since the frame before
-    done = 0  # frames at the beginning of the window whose masks are given
-    for frame in frames:
-        before = views(window[-1] if window else frame)
-        left, right = (motion_mask(a, b) for a, b in zip(before, views(frame), strict=True))
-        window.append(frame)
-        changes.append((left, right))
-        if len(window) - done > WINDOW_FRAMES + 1:
-            yield window[done], _around(changes, done)
-            done += 1
-        if done > WINDOW_FRAMES:
-            window.popleft()
-            changes.popleft()
-            done -= 1
-    for k in range(done, len(window)):
-        yield window[k], _around(changes, k)
-
-
-def _around(changes: Sequence[tuple[Mask, Mask]], k: int) -> tuple[Mask, Mask]:
-    """Where something moves in either view in the shortest span of intervals around frame ``k`` in which something
-    does; ``changes`` are those since the frame before each."""
-    for reach in range(WINDOW_FRAMES):
-        span = [changes[n] for n in range(max(k - reach, 0), min(k + 2 + reach, len(changes)))]
-        left, right = (np.logical_or.reduce([masks[side] for masks in span]) for side in (0, 1))
-        if left.any() and right.any():
-            break
-    return left, right
