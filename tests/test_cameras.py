@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from paceline.cameras import Camera, StereoRig, line_displacement
+from paceline.cameras import Camera, StereoRig, cubic_sampling_places, line_displacement
 
 K = np.array([[800.0, 0, 511.5], [0, 805, 383.5], [0, 0, 1]])
 DISTORTION = np.array([-0.28, 0.09, 0.0008, -0.0006, -0.01])
@@ -98,3 +98,11 @@ def test_the_lens_moves_lines_by_the_mean_of_their_points():
         moved = (LENS.distort_points(points) - points).mean(0)
         assert across[j] == pytest.approx(moved[axis], abs=0.02)
         assert along[j] == pytest.approx(moved[1 - axis], abs=0.02)
+
+
+def test_cubic_sampling_places_undo_the_error_of_the_kernel():
+    places = np.r_[np.random.default_rng(1).uniform(-50, 1050, 10_000), -1e-9, 0.0, 1023.0].astype(np.float32)
+    sampled = cubic_sampling_places(places)
+    whole = np.floor(places)
+    s = np.asarray(sampled - whole, float)
+    np.testing.assert_allclose(whole + s + s * (1 - s) * (1 - 2 * s) / 2, places, atol=1e-3)

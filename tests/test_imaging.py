@@ -28,6 +28,8 @@ from paceline.imaging.camera_rotation import (
 )
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals, velocity_across
 from paceline.imaging.feature_matches import NO_MATCHES, InstantFeatures, Matches, match_static, velocity_and_growth
+from paceline.imaging.moving_features import moving_features
+from paceline.imaging.outline_motion import match_template
 from paceline.recordings.live_stereo import LiveStereo
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.stereo.clip import render, write
@@ -470,3 +472,25 @@ def test_matches_of_a_clip_lie_on_their_epipolar_lines_where_nothing_moves(late_
     static, moving = match_static(recording), InstantFeatures(recording).matches()
     assert len(static.left) > 20 and len(moving.left) > 20
     assert np.median(np.abs(epipolar_distance(recording.rig, static.left, static.right))) < 0.1
+
+
+def test_features_that_pass_by_give_the_matches_that_detection_gives(late_clip):
+    recording = open_recording(load_clip(late_clip))
+    passed = InstantFeatures(recording)
+    frames = [frame.index for frame, _ in passed.passing(moving_features(recording.rig, recording.frames()))]
+    assert frames == recording.indices.tolist()
+    detected = InstantFeatures(recording).matches()
+    np.testing.assert_allclose(passed.matches().left, detected.left)
+    np.testing.assert_allclose(passed.matches().velocity, detected.velocity)
+
+
+@pytest.mark.parametrize("side", [18, 60])
+def test_a_template_is_found_at_its_place_and_scale(side):
+    picture = cv2.GaussianBlur(np.random.default_rng(2).uniform(0, 255, (300, 400)).astype(np.float32), (0, 0), 2.5)
+    scale, shift = 1.1, np.array([23.0, -9.0])
+    quad = np.array([[0, 0], [side, 0], [side, side], [0, side]]) + np.array([150.0, 120.0])
+    middle = quad.mean(0)
+    affine = np.column_stack([scale * np.eye(2), middle + shift - scale * middle])
+    found, growth = match_template(picture, cv2.warpAffine(picture, affine, (400, 300)), quad, 40.0)
+    np.testing.assert_allclose(found, shift, atol=1.5)
+    assert growth == pytest.approx(scale, abs=0.05)
