@@ -91,3 +91,6 @@ def test_the_covariance_is_the_sandwich_of_corrected_scores(seed: int, scale: fl
     by_patch = sandwich([cluster(k == n) for n in range(K)])
     wider = max(by_frame, by_patch, key=lambda C: gradient @ C @ gradient)
     np.testing.assert_allclose(covariance(A, prior, cells_A, cells, gradient), wider, rtol=1e-9, atol=1e-12)
+    both = by_frame + by_patch - sandwich([])
+    crossed = covariance(A, prior, cells_A, cells, gradient, is_crossed=True)
+    np.testing.assert_allclose(crossed, both, rtol=1e-9, atol=1e-12)

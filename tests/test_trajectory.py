@@ -87,6 +87,28 @@ def test_on_a_curve_the_distance_is_speed_times_time():
     assert length == pytest.approx(15.0 * 1.5, rel=1e-4)
 
 
+@pytest.mark.parametrize("yaw", [-0.7, 0.0, 0.5])
+def test_the_middle_of_outlines_is_that_of_the_face(yaw):
+    """Of a rectangle that is seen obliquely: the mean of its corners in the image is not its centre."""
+    t = trajectory_on(straight_path())
+    theta = start_of(t, depth=20.0)
+    theta[PARAMETER_INDEX["normal_yaw"]] = yaw
+    _, _, normal, distance = t.motion(theta)
+    across = np.cross([0.0, 1.0, 0.0], normal)
+    across *= np.sign(across[0]) / np.linalg.norm(across)
+    down = np.cross(normal, across)
+    centre = distance / normal[2] * np.array([0.0, 0.0, 1.0])
+    corners = centre + np.array([[-0.9, -0.3], [0.9, -0.3], [0.9, 0.3], [-0.9, 0.3]]) @ [across, down]
+    left, right = RIG.project(corners)
+    t = replace(t, quad=left)
+    theta[PARAMETER_INDEX["log_depth"]] = np.log(distance / (normal @ RIG.left.rays(left.mean(0))))
+    from_centre = float((centre - t.centres(theta)[0]) @ across) / 1.8
+    assert t.middle_of_outlines(theta, right) == pytest.approx(from_centre, abs=1e-3)
+    assert abs(from_centre) > 0.005 or yaw == 0.0
+    aside = t.middle_of_outlines(theta, right + np.array([0.18 * 2000 / centre[2], 0.0]))
+    assert aside - from_centre == pytest.approx(0.05 / np.cos(yaw), abs=0.02)  # half of 0.1 widths
+
+
 def test_distance_is_the_integral_of_the_speed():
     t = trajectory_on(straight_path(), times=tuple(np.linspace(0.0, 1.2, 1201)))
     rng = np.random.default_rng(3)

@@ -145,7 +145,8 @@ class VehicleMeasurement:
 
     def _refine_from(self, speed: float, drawn: Path | None) -> RefinedMotion:
         min_log_odds = self.configuration.model.min_log_odds
-        return refine(self._trajectory(speed, drawn), self.keyframes, speed, drawn is not None, min_log_odds)
+        refined = refine(self._trajectory(speed, drawn), self.keyframes, speed, drawn is not None, min_log_odds)
+        return refined.of_outlines(self.vehicle.right, self.configuration.click_sigma)
 
     @property
     def _places(self) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ from paceline.arrays import Array
 from paceline.speed.configuration import DEFAULTS
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.photometric_fit import MIN_MODEL_PROBABILITY, PhotometricFit
-from paceline.speed.refinement.reference_point import ReferencePoint
+from paceline.speed.refinement.reference_point import ReferencePoint, mean_width
 from paceline.speed.refinement.self_calibration import RigEstimate
 from paceline.speed.refinement.trajectory import MOTION_TERMS, Prior, Trajectory, prior
 
@@ -59,6 +59,12 @@ class RefinedMotion:
         g = self.trajectory.speed_jacobian
         variance = np.einsum("fi,ij,fj->f", g, self._total_covariance, g) + self.reference_variances
         return g @ self.theta + self.reference.shift * self._speeds_by_width, np.sqrt(variance)
+
+    def of_outlines(self, right: Array, click_sigma: float) -> RefinedMotion:
+        """The same motion, of the middle of the outlines in both views, of which that in the right view is ``right``
+        (4, 2) px; their corners have a standard deviation of ``click_sigma`` px each."""
+        shift = self.trajectory.middle_of_outlines(self.theta, right)
+        return replace(self, reference=self.reference.moved(shift, click_sigma / mean_width(self.trajectory.quad)))
 
     @property
     def reference_variances(self) -> Array:

@@ -49,9 +49,9 @@ ABSENT_TERM_SCALE = 1e-4  # prior standard deviation of an absent motion term ov
 MIN_MODEL_PROBABILITY = 1e-3  # least probability of a model in the average
 MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by the images, as a share of the prior's
 # Standard deviations (px) of errors that all matches between the views have in common, by how both cameras sample the
-# same edges: along the epipolar lines, measured with benchmarks/bends.py --renderer raytraced, and across them, by the
+# same edges: along the epipolar lines, measured with benchmarks/bends.py, and across them, by the
 # offsets between the views that the fit finds in clips whose offset is known
-COMMON_DISPARITY_STD_PX, COMMON_EPIPOLAR_STD_PX = 0.012, 0.005
+COMMON_DISPARITY_STD_PX, COMMON_EPIPOLAR_STD_PX = 0.006, 0.005
 
 DEPTH_OFFSET_INFORMATION = np.linalg.inv(
     np.full((ROWS_PER_PATCH, ROWS_PER_PATCH), DEPTH_OFFSET_STD_M[0] ** 2)

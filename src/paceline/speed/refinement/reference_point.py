@@ -6,7 +6,7 @@ with the vehicle, such as the road beside it, the middle of the outline is not t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,12 @@ class ReferencePoint:
     std: float = 0.0
     beside: tuple[float, float] = (0.0, 0.0)
 
+    def moved(self, shift: float, corner_std: float) -> ReferencePoint:
+        """The same, from the middle of both views' outlines in place of that of the left one: ``shift`` widths to the
+        right of it. Their eight corners have a standard deviation of ``corner_std`` widths each."""
+        std = float(np.hypot(self.std, corner_std / np.sqrt(8.0)))
+        return replace(self, shift=self.shift + shift, std=std)
+
 
 def reference_point(image_variances: Array, residual_variances: Array) -> ReferencePoint:
     """The middle of the vehicle, from the variance of the images (rows, columns) and the part of it that the motion
@@ -68,6 +74,11 @@ def reference_point(image_variances: Array, residual_variances: Array) -> Refere
     shift = ONE_SIDED_SHIFT * (left - right)
     squared = ((left + right) ** 2 + edge_variance) * (ONE_SIDED_SHIFT**2 + ONE_SIDED_VARIANCE)
     return ReferencePoint(shift, float(np.sqrt(squared - shift**2)) if shift else 0.0, (left, right))
+
+
+def mean_width(quad: Array) -> float:
+    """Mean length (px) of the upper and the lower side of an outline ``quad`` (4, 2)."""
+    return float(np.linalg.norm(quad[[1, 2]] - quad[[0, 3]], axis=1).mean())
 
 
 def _columns_beside(moves: Mask, other: Mask) -> int:

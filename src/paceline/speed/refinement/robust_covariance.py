@@ -40,18 +40,22 @@ def assemble_scores(cells: Array, P: int) -> Array:
     return np.concatenate([by_patch[:, :P].sum(0), by_patch[:, P:].ravel()])
 
 
-def covariance(A: Array, prior: Array, cells_A: Array, cells: Array, gradient: Array) -> Array:
+def covariance(
+    A: Array, prior: Array, cells_A: Array, cells: Array, gradient: Array, is_crossed: bool = False
+) -> Array:
     """Covariance (P, P) of the shared parameters, with normal matrix ``A`` and ``prior`` information.
 
     Errors that a patch repeats in every frame, or a frame in every patch, do not average out over pixels: scores are
     summed within each before they are squared. A sandwich estimate for each way of clustering, with the small-sample
     correction of Bell and McCaffrey 2002 ("CR2"); returned is the one with the larger variance of the linear function
-    ``gradient`` (P,). Raises numpy.linalg.LinAlgError where the parameters are not determined.
+    ``gradient`` (P,), or their sum if errors of both kinds are there at once (``is_crossed``; Cameron, Gelbach and
+    Miller 2011, "Robust inference with multiway clustering", without taking off what is of single cells: neighbouring
+    patches share pixels). Raises numpy.linalg.LinAlgError where the parameters are not determined.
     """
     views, K, n = cells.shape
     P = len(gradient)
     inverse = np.linalg.inv(A)
-    candidates, of_prior = [], (inverse @ prior @ inverse)[:P, :P]
+    of_prior = (inverse @ prior @ inverse)[:P, :P]
     by_frame = []
     for v in range(0, views, 2):
         s = _corrected_score(A, assemble(cells_A[v : v + 2], P), assemble_scores(cells[v : v + 2], P))
@@ -61,9 +65,9 @@ def covariance(A: Array, prior: Array, cells_A: Array, cells: Array, gradient: A
         own = np.r_[:P, P + k * (n - P) : P + (k + 1) * (n - P)]
         marginal = np.linalg.inv(inverse[np.ix_(own, own)])
         by_patch.append(inverse[:P, own] @ _corrected_score(marginal, cells_A[:, k].sum(0), cells[:, k].sum(0)))
-    for changes in (np.array(by_frame), np.array(by_patch)):
-        candidates.append(of_prior + changes.T @ changes)
-    return max(candidates, key=lambda C: float(gradient @ C @ gradient))
+    scatters = [changes.T @ changes for changes in (np.array(by_frame), np.array(by_patch))]
+    scatter = scatters[0] + scatters[1] if is_crossed else max(scatters, key=lambda C: float(gradient @ C @ gradient))
+    return np.asarray(of_prior + scatter)
 
 
 def _corrected_score(A: Array, A_i: Array, s: Array) -> Array:

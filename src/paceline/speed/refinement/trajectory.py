@@ -36,6 +36,7 @@ MOTION_TERMS = ("acceleration", "varying_acceleration", "lane_change", "curvatur
 EXPOSURE_QUANTITIES = ("offset", "left readout", "right readout")
 DIFFERENCE_STEPS = np.array([1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-6])
 AMPLITUDE_STEP = 1e-3
+UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 OWN_PATH_KNOTS = 97  # along a vehicle's own path, between which it is interpolated
 
 CONSTANT_SPEED_STD_MPS2 = 0.01  # m/s², of the acceleration at a speed that is kept constant, as by cruise control
@@ -245,12 +246,32 @@ class Trajectory:
     def distance_across(self, theta: Array) -> Array:
         """How much farther (F,) than the region's middle a point has come, m, that is one width of the region to its
         right, by ``theta`` (n,): on a bend the outer side of a vehicle is faster."""
-        R, _, n, d = self.motion(theta)
-        left, right = self.rig.left.rays(0.5 * (self.quad[[0, 1]] + self.quad[[3, 2]]))
-        width = d * (right / (n @ right) - left / (n @ left))
+        R = self.motion(theta)[0]
         ahead = np.diff(self.centres(theta), axis=0)
         ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
-        return np.append(0.0, np.cumsum((np.diff(R[:, 0] @ width, axis=0) * ahead).sum(1)))
+        return np.append(0.0, np.cumsum((np.diff(R[:, 0] @ self._width(theta), axis=0) * ahead).sum(1)))
+
+    def middle_of_outlines(self, theta: Array, right: Array) -> float:
+        """How far the middle of the face is from the region's centre, in widths of the region to its right, by
+        ``theta`` (n,): the mean of the corners of both outlines, that of the right view being ``right`` (4, 2) px.
+
+        The region's centre is where the left view shows the mean of its corners' images. Of a face that is seen
+        obliquely its nearer half is the wider one there.
+        """
+        by_right = np.c_[right, np.ones(4)] @ np.linalg.inv(self.homographies(theta)[0][0, 1]).T
+        square = np.concatenate([UNIT_SQUARE, by_right[:, :2] / by_right[:, 2:]])
+        width = self._width(theta)
+        return float((self.places(theta, square).mean(0) - self._start(theta)) @ width / (width @ width))
+
+    def _width(self, theta: Array) -> Array:
+        """From the middle of the region's left side to that of its right side (3,) m, at time 0."""
+        _, _, n, d = self.motion(theta)
+        left, right = self.rig.left.rays(0.5 * (self.quad[[0, 1]] + self.quad[[3, 2]]))
+        return np.asarray(d * (right / (n @ right) - left / (n @ left)))
+
+    def _start(self, theta: Array) -> Array:
+        """World point (3,) of the region's centre at time 0."""
+        return np.asarray(self._ray * np.exp(theta[PARAMETER_INDEX["log_depth"]]))
 
     def homographies(self, theta: Array) -> tuple[Array, Array]:
         """H (…, F, 2, 3, 3) from the unit square to both views by ``theta`` (…, n), and ∂H/∂d."""
@@ -302,13 +323,13 @@ class Trajectory:
     def directions(self, theta: Array) -> Array:
         """Unit vectors (F, 2, 3), in the vehicle's axes, from the region's centre to the cameras, by ``theta`` (n,)."""
         R, t, _, _ = self.motion(theta)
-        seen_from = ((self.rig.centres - t)[..., None, :] @ R)[..., 0, :] - self._ray * np.exp(theta[0])
+        seen_from = ((self.rig.centres - t)[..., None, :] @ R)[..., 0, :] - self._start(theta)
         return np.asarray(seen_from / np.linalg.norm(seen_from, axis=-1, keepdims=True))
 
     def centres(self, theta: Array) -> Array:
         """World points (F, 3) of the region's centre."""
         R, t, _, _ = self.motion(theta)
-        return np.asarray(R[:, 0] @ (self._ray * np.exp(theta[0])) + t[:, 0])
+        return np.asarray(R[:, 0] @ self._start(theta) + t[:, 0])
 
 
 @lru_cache(maxsize=16)
@@ -331,8 +352,7 @@ def rotate_normal(normal: Array, yaw: Array | float, tilt: Array | float) -> Arr
 
 def corners_of(H: Array) -> Array:
     """Images (…, 4, 2) of the unit square's corners under ``H`` (…, 3, 3)."""
-    square = np.array([[0.0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
-    p = square @ np.swapaxes(H, -1, -2)
+    p = np.c_[UNIT_SQUARE, np.ones(4)] @ np.swapaxes(H, -1, -2)
     return np.asarray(p[..., :2] / p[..., 2:])
 
 
