@@ -95,6 +95,7 @@ def test_an_outline_partly_beside_the_vehicle_gives_the_speed_of_its_middle(
     (m,) = measure_clip(replace(clip, vehicles=[vehicle])).measurements
     assert m.verdict == "measured", m.reason
     half_width = 0.5 * (m.speed_hi - m.speed_lo)
-    assert abs(m.speed - scene.vehicles[0].speed) <= 1.5 * half_width  # a correct interval misses by as much once in 300
+    # a correct interval misses by as much once in 300
+    assert abs(m.speed - scene.vehicles[0].speed) <= 1.5 * half_width
     assert half_width < 0.6 * MPH
     assert any(notice.startswith("about") and "of the outline's width" in notice for notice in m.notices)
