@@ -320,10 +320,11 @@ def test_the_speed_is_the_mean_over_patch_grids(
     fit, m = fitted(rendered(scene("approaching", 14.0, 1)))
     speeds = fit.trajectory.mean_speed_gradient
     own = [float(speeds @ f.theta) for f in (fit, *map(fit.on_grid, PATCH_GRIDS))]
-    assert min(own) < m.speed < max(own) and m.speed != pytest.approx(own[0], abs=1e-9)
+    assert min(own) < m.speed < max(own) and m.speed != pytest.approx(own[0], abs=1e-6)
     offset, theta, variance = fit.average_over_grids()
     assert len(offset) == 0 and fit.rig_estimate(offset, fit.covariance_given_rig) is None
-    assert m.speed == pytest.approx(float(speeds @ theta), abs=1e-9)
+    # of the middle of the outlines, which is nearly that of the straight itself
+    assert m.speed == pytest.approx(float(speeds @ theta), abs=1e-7)
     assert MIN_VARIANCE_SHARE < variance / fit.mean_speed_variance < 2.0
 
 
