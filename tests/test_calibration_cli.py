@@ -10,11 +10,13 @@ import av
 import cv2
 import numpy as np
 import pytest
+from printed_intervals import rows_with_intervals
 from run_command import assert_one_line_error, paceline
 
 from paceline.calibration.boards import parse_board
 from paceline.calibration.parameters import Poses
 from paceline.documents.loading import load_rig
+from paceline.reports import calibration as calibration_report
 from paceline.simulation import boards
 from paceline.simulation.boards import CalibrationSetup
 
@@ -61,8 +63,14 @@ def refused(*arguments: str) -> str:
     return done.stderr
 
 
-def test_pictures_become_a_rig(filmed: tuple[Path, CalibrationSetup], tmp_path: Path) -> None:
+def test_pictures_become_a_rig(
+    filmed: tuple[Path, CalibrationSetup], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder, setup = filmed
+    draw, figures = calibration_report._draw, []
+    monkeypatch.setattr(
+        calibration_report, "_draw", lambda figure, calibration: (figures.append(figure), draw(figure, calibration))
+    )
     out = tmp_path / "new" / "rig.yaml"
     done = paceline("calibrate", folder / "left", folder / "right", "--board", BOARD, "-o", out)
     assert done.returncode == 0, done.stderr
@@ -72,6 +80,15 @@ def test_pictures_become_a_rig(filmed: tuple[Path, CalibrationSetup], tmp_path: 
     assert "no board is seen in 006.png" in done.stderr
     for part in ("focal length x, px", "distance apart, m", "lens model", "20 m ±", "50 m ±", "80 m ±", "verdict"):
         assert part in done.stdout
+    assert len(rows_with_intervals(done.stdout)) == 10
+    (figure,) = figures
+    explained = {text.get_text() for legend in figure.legends for text in legend.get_texts()}
+    assert explained == {
+        "corner of the board, used", "corner of the board, in a view left out", "error in the left image",
+        "error in the right image", "median error", "view left out",
+    }  # fmt: skip
+    below = figure.legends[0].get_window_extent()
+    assert all(axes.get_legend() is None and axes.get_tightbbox().y0 >= below.y1 for axes in figure.axes)
 
     rig, numbers = load_rig(out), json.loads((out.parent / "rig.json").read_text())
     std = dict(zip(numbers["parameters"], numbers["std"], strict=True))

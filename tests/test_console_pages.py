@@ -20,7 +20,7 @@ from test_console_target_model import box_of
 from test_survey_live import SPEEDS, survey_file
 from tiny_clips import put_clip, rendered
 
-from paceline.reports.common.formatting import format_number
+from paceline.number_format import format_number
 
 pytestmark = needs_chromium
 EDITOR = "document.querySelector('pl-editor')"

@@ -124,9 +124,9 @@ def test_the_width_is_stated_first_and_is_part_of_every_interval(clip: Path, tmp
     (clip / "target.yaml").write_text(yaml.safe_dump(target))
     change(clip, start=tiny_chase.start(FRAMES - 4))
     done = paceline("follow", clip, "-o", tmp_path / "out", "--no-overlay")
-    assert "the model is 2.00 ± 0.10 m wide (± assumed)" in done.stdout
+    assert "the model is 2.000 ± 0.098 m wide (± assumed)" in done.stdout
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "The small van, 2.00 ± 0.10 m wide (± assumed), was tracked" in page
+    assert "The small van, 2.000 ± 0.098 m wide (± assumed), was tracked" in page
     assert "Its width alone makes each distance uncertain by ±&nbsp;4.9&nbsp;%." in page
     assert summary(tmp_path / "out")["width"] == {"value": 2.0, "std": 0.05, "assumed": True}
     for row in rows(tmp_path / "out"):

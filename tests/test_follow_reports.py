@@ -162,12 +162,12 @@ def test_the_page_is_complete_and_self_contained(out: Path) -> None:
     ranges = [tiny_chase.truth(k)[2] for k in range(FRAMES) if k not in LOST]
     span = f"{min(ranges):.1f} to {max(ranges):.1f} m ahead"
     assert (
-        f"The small van, 2.00 ± 0.02 m wide (± assumed), was tracked in 83.3 % of 60 frames, over 3.9 s, {span}."
+        f"The small van, 2.000 ± 0.020 m wide (± assumed), was tracked in 83.3 % of 60 frames, over 3.9 s, {span}."
         in text
     )
     assert "50 tracking, 5 coasting, 5 lost" in text
     assert "<td>20 to 29</td><td>1.33</td><td>1.93</td><td>lost</td><td>too few lines</td>" in html
-    assert "typically known within ± 0.06 m" in text  # 1.96 times 0.03
+    assert "typically known within ± 0.059 m" in text  # 1.96 times 0.03
     for part in ("the lens is dirty", "Advice:", "Terms", "wheelbase", "paceline"):
         assert part in text
     assert {a for a in page.addresses if not a.startswith("data:")} == {"overlay.mp4", "track.csv", "summary.json"}
@@ -180,7 +180,7 @@ def test_the_page_is_complete_and_self_contained(out: Path) -> None:
 def test_the_page_in_a_browser(out: Path, tmp_path: Path) -> None:
     text, shot, asked = browse(out / "report.html", tmp_path)
     assert "tracked in 83.3 %" in text
-    assert "The small van, 2.00 ± 0.02 m wide (± assumed)" in text and "by ± 1.0 %." in text
+    assert "The small van, 2.000 ± 0.020 m wide (± assumed)" in text and "by ± 0.98 %." in text
     assert "Steering angle: towards the lead itself" in text and "indicates a tracking error" not in text
     assert cv2.imread(str(shot)).std() > 10
     assert not asked

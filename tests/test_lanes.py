@@ -24,6 +24,7 @@ from painted_road import (
     make_rig,
     painted,
 )
+from printed_intervals import rows_with_intervals
 from run_command import assert_one_line_error, paceline
 
 from paceline.documents.loading import load_clip
@@ -32,6 +33,7 @@ from paceline.lanes.lane_proposals import Lane
 from paceline.lanes.road_alignment import Alignment
 from paceline.lanes.road_surface import RoadSurface, plane_surface, viewing_rays
 from paceline.lanes.site_yaml import lane_names, site_yaml, with_lanes
+from paceline.number_format import format_uncertain
 from paceline.recordings.background import estimate_background, shorth_background
 from paceline.recordings.stereo import open_recording
 from paceline.speed.geometry.path_reconstruction import path_from_document
@@ -71,6 +73,7 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 def test_lanes_of_a_painted_road_become_paths_that_can_be_measured_along(clip: Path) -> None:
     done = run(clip, "--in-place")
     assert done.returncode == 0, done.stderr + done.stdout
+    assert len(rows_with_intervals(done.stdout)) == 2
     text = (clip / "clip.yaml").read_text()
     assert text.startswith("left: left  # kept\nright: right\nrate: 5\nrig: rig.yaml\npaths:\n")
     found = load_clip(clip / "clip.yaml")
@@ -83,6 +86,7 @@ def test_lanes_of_a_painted_road_become_paths_that_can_be_measured_along(clip: P
         value, half = (float(words.split(",")[1].split()[i]) for i in (0, 2))
         assert abs(value - width) < 1.5 * half + 0.005, words  # 3 standard deviations, and what rounding hides
         assert half < 0.25
+        assert words.split(",")[1].split(" m wide")[0].strip() == format_uncertain(value, half)
         path = path_from_document(document, rig)
         near = path.points[(path.points[:, 2] > 12) & (path.points[:, 2] < 35)]
         right = near[:, 0] * np.cos(HEADING) - (near @ AHEAD) * np.sin(HEADING)

@@ -25,15 +25,13 @@ import pytest
 from selection import slow_after
 
 from paceline.errors import UnusableInput
+from paceline.number_format import align_decimals, format_half_width, format_interval, format_uncertain
 from paceline.recordings.stereo import StereoFrame
 from paceline.reports import OutputFolder, write_report
 from paceline.reports.common.formatting import (
-    align_decimals,
     align_for_page,
-    format_interval,
     format_measurement,
     format_parts,
-    format_uncertain,
     rejected_advice,
     speed_at,
 )
@@ -238,6 +236,13 @@ def test_numbers_have_the_decimals_of_their_uncertainty_and_add_up(
 def test_an_interval_that_is_not_symmetric_keeps_its_ends() -> None:
     text = format_interval(20.0, 19.4, 21.0)
     assert (str(text), text.ends) == ("20.00 ± 0.80", "19.40 to 21.00")
+
+
+def test_a_half_width_alone_has_two_digits_and_zero_no_sign() -> None:
+    assert [format_half_width(half) for half in (0.1355, 3.7, 12.4, 0.0009961, NAN)] == [
+        "0.14", "3.7", "12", "0.0010", "–",
+    ]  # fmt: skip
+    assert format_uncertain(-0.00001, 0.002) == "0.0000 ± 0.0020"
 
 
 def test_columns_are_aligned_at_the_decimal_point() -> None:

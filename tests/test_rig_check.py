@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from printed_intervals import rows_with_intervals
 from run_command import paceline
 from selection import slow_after
 
@@ -258,6 +259,7 @@ def test_the_command_notices_a_knock_and_sets_the_rig_right(tmp_path: Path, monk
     refined = paceline("rig", "check", tmp_path / "clip", "--correct-rotation", "-o", out)
     assert refined.returncode == 0, refined.stderr
     assert "the scene does not determine it" in refined.stdout
+    assert len(rows_with_intervals(refined.stdout)) == 3
     better = load_rig(out)
     left_over = np.degrees(np.ravel(cv2.Rodrigues(better.R @ true.R.T)[0]))
     assert np.abs(left_over[[0, 2]]).max() < 0.006

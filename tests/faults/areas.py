@@ -205,7 +205,7 @@ def _read_ranges(ended: Ended, out: Path, shown: list[list[int]], truth: Truth) 
 
 def _read_calibration(ended: Ended, out: Path, shown: list[list[int]], truth: Truth) -> list[Reading]:
     """The distance between the cameras, which scales every speed."""
-    found = re.search(r"distance apart, m\s+([\d.]+) ± ([\d.]+)", ended.stdout)
+    found = re.search(r"distance apart, m\s+([\d.]+)\s+±\s+([\d.]+)", ended.stdout)
     if found is None:
         return []
     ((name, true),) = truth.values
@@ -215,7 +215,7 @@ def _read_calibration(ended: Ended, out: Path, shown: list[list[int]], truth: Tr
 
 def _read_lanes(ended: Ended, out: Path, shown: list[list[int]], truth: Truth) -> list[Reading]:
     readings = []
-    for text, spread in re.findall(r"^lane\S*\s+\S+–\S+\s+([\d.]+) ± ([\d.]+)", ended.stdout, re.MULTILINE):
+    for text, spread in re.findall(r"^lane\S*\s+\S+–\S+\s+([\d.]+)\s+±\s+([\d.]+)", ended.stdout, re.MULTILINE):
         value, half = float(text), float(spread)
         true = min((width for _, width in truth.values), key=lambda width: abs(width - value))
         readings.append(Reading("lane width, m", value, value - half, value + half, true))

@@ -60,13 +60,17 @@ def calibrate(
 
 
 def _print(c: Calibration) -> None:
-    rows = [("", "left", "right"), *_lenses(c), *_pose(c)]
-    print_columns(rows)
+    from paceline.number_format import align_decimals, format_half_width
+
+    names, *columns = zip(*_lenses(c), *_pose(c), strict=True)
+    print_columns([("", "left", "right"), *zip(names, *map(align_decimals, columns), strict=True)])
     print(f"\nviews       {len(c.used)} of {len(c.views.views) + len(c.views.empty)} used", end="")
     print(f", {c.outlier_corners} stray corners left out" if c.outlier_corners else "")
     models = ", ".join(f"{name} {error:.3f}" for name, error in c.cross_validation_px.items())
     print(f"lens model  {c.distortion}; error on views held out, px: {models}")
-    effects = "   ".join(f"{e.distance:.0f} m ± {100 * c.coverage_factor * e.along:.2f} %" for e in c.effects)
+    effects = "   ".join(
+        f"{e.distance:.0f} m ± {format_half_width(100 * c.coverage_factor * e.along)} %" for e in c.effects
+    )
     print(f"speeds      {effects}   (95 %, from the calibration alone)")
     print(f"verdict     {verdict(c)}")
     for v, reason in c.rejected.items():
@@ -82,6 +86,7 @@ def _print(c: Calibration) -> None:
 def _lenses(c: Calibration) -> list[tuple[str, str, str]]:
     """A row for each parameter of the lenses, with half its 95 % interval."""
     from paceline.calibration.parameters import LENS_PARAMETERS, N_LENS
+    from paceline.number_format import format_uncertain
 
     titles = dict(
         zip(LENS_PARAMETERS, ("focal length x, px", "focal length y, px", "centre x, px", "centre y, px"), strict=False)
@@ -90,9 +95,7 @@ def _lenses(c: Calibration) -> list[tuple[str, str, str]]:
     for k, name in enumerate(LENS_PARAMETERS):
         if k < 4 or k in c.fit.free:
             left, right = (
-                _with_interval(
-                    c.fit.rig.lenses[side, k], c.coverage_factor * c.std[side * N_LENS + k], 2 if k < 4 else 5
-                )
+                format_uncertain(c.fit.rig.lenses[side, k], c.coverage_factor * c.std[side * N_LENS + k])
                 for side in (0, 1)
             )
             rows.append((titles.get(name, name), left, right))
@@ -104,27 +107,27 @@ def _pose(c: Calibration) -> list[tuple[str, str, str]]:
     import numpy as np
 
     from paceline.calibration.parameters import POSE_SLICE
+    from paceline.number_format import format_uncertain
 
     std = c.coverage_factor * c.std[POSE_SLICE]
     angles = np.degrees(np.ravel(cv2.Rodrigues(c.rig.R)[0]))
     along = c.rig.t / c.rig.baseline
     of_baseline = c.coverage_factor * float(np.sqrt(along @ c.covariance[POSE_SLICE, POSE_SLICE][3:, 3:] @ along))
-    rows = [("distance apart, m", "", _with_interval(c.rig.baseline, of_baseline, 5))]
+    rows = [("distance apart, m", "", format_uncertain(c.rig.baseline, of_baseline))]
     for k, axis in enumerate("xyz"):
-        rows.append((f"turned about {axis}, degrees", "", _with_interval(angles[k], float(np.degrees(std[k])), 4)))
+        rows.append((f"turned about {axis}, degrees", "", format_uncertain(angles[k], float(np.degrees(std[k])))))
     return rows
-
-
-def _with_interval(value: float, half: float, digits: int) -> str:
-    return f"{value:.{digits}f} ± {half:.{digits}f}"
 
 
 def verdict(c: Calibration) -> str:
     """One line that rates the calibration by the uncertainty of speeds that it causes."""
     from paceline.calibration.speed_sensitivity import VERDICT_DISTANCE_M
+    from paceline.number_format import format_half_width
 
     share = c.coverage_factor * next(e.along for e in c.effects if e.distance == VERDICT_DISTANCE_M)
-    statement = f"the calibration leaves speeds at {VERDICT_DISTANCE_M:.0f} m unsure by {100 * share:.2f} %"
+    statement = (
+        f"the calibration leaves speeds at {VERDICT_DISTANCE_M:.0f} m unsure by {format_half_width(100 * share)} %"
+    )
     if share <= MAX_GOOD_SPEED_SHARE:
         return f"good: {statement}"
     if share <= MAX_USABLE_SPEED_SHARE:

@@ -60,7 +60,8 @@ def _vehicle_rows(
     results: list[SavedResult], errors: list[list[VehicleError]], unit: SpeedUnit, true: str
 ) -> list[list[str]]:
     """A row for each vehicle of each result; ``true`` is what true speeds are called."""
-    from paceline.reports.common.formatting import format_number, format_speed
+    from paceline.number_format import format_number
+    from paceline.reports.common.formatting import format_speed
     from paceline.units import convert
     from paceline.verification.comparison import largest, rms
 
@@ -91,7 +92,7 @@ def _result_rows(results: list[SavedResult], errors: list[list[VehicleError]], u
     """A row for each result over all its vehicles."""
     import numpy as np
 
-    from paceline.reports.common.formatting import format_number
+    from paceline.number_format import format_number
     from paceline.units import convert
     from paceline.verification.comparison import all_errors, all_frame_errors, largest, rms
 
@@ -117,7 +118,7 @@ def _result_rows(results: list[SavedResult], errors: list[list[VehicleError]], u
 
 def _aligned(head: list[str], rows: list[list[str]], words: tuple[int, ...]) -> list[list[str]]:
     """A table of ``head`` and ``rows``, the numbers aligned in all columns but those of ``words``."""
-    from paceline.reports.common.formatting import align_decimals
+    from paceline.number_format import align_decimals
 
     columns = [list(column) for column in zip(*rows, strict=True)]
     columns = [column if i in words else align_decimals(column) for i, column in enumerate(columns)]

@@ -120,25 +120,24 @@ def _check_pictures(clip: Clip, pictures: tuple[Path, Path]) -> None:
 
 
 def _print(lines: list[RoadLine], lanes: dict[str, Lane], remarks: Sequence[str]) -> None:
+    from paceline.number_format import align_decimals, format_number, format_uncertain, significant_decimals
     from paceline.units import COVERAGE_95
 
-    rows = [("line", "marking", "across, 95 %")]
-    rows += [
-        (line.id, line.kind, f"± {COVERAGE_95 * std.min():.2f} to {COVERAGE_95 * std.max():.2f} m")
-        for line, std in ((line, line.lateral_std) for line in lines)
-    ]
-    print_columns(rows)
+    ranges = []
+    for line in lines:
+        least, greatest = COVERAGE_95 * line.lateral_std.min(), COVERAGE_95 * line.lateral_std.max()
+        decimals = significant_decimals(least)
+        ranges.append(f"± {format_number(least, decimals)} to {format_number(greatest, decimals)}")
+    rows = zip([line.id for line in lines], [line.kind for line in lines], align_decimals(ranges), strict=True)
+    print_columns([("line", "marking", "across, m, 95 %"), *rows])
     if lanes:
         print()
-        print_columns(
-            [
-                ("lane", "lines", "width, m, 95 %", "shape"),
-                *(
-                    (name, "–".join(lane.between), f"{lane.width:.2f} ± {COVERAGE_95 * lane.width_std:.2f}", lane.shape)
-                    for name, lane in lanes.items()
-                ),
-            ]
-        )
+        widths = align_decimals([format_uncertain(lane.width, COVERAGE_95 * lane.width_std) for lane in lanes.values()])
+        lane_rows = [
+            (name, "–".join(lane.between), width, lane.shape)
+            for (name, lane), width in zip(lanes.items(), widths, strict=True)
+        ]
+        print_columns([("lane", "lines", "width, m, 95 %", "shape"), *lane_rows])
     for remark in remarks:
         print(f"left out: {remark}")
 

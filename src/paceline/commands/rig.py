@@ -142,15 +142,22 @@ def rig_check(
 def _print_check(check: RigCheck, correction: RotationCorrection, frames: int, refusal: Message) -> None:
     import numpy as np
 
+    from paceline.number_format import align_decimals, format_uncertain
     from paceline.units import COVERAGE_95
 
-    rows = [("rotation since calibration", "degrees, 95 %", "determined by")]
-    for axis, t, s, share in zip(
-        ROTATION_NAMES, np.degrees(correction.rotation), np.degrees(correction.std), correction.scene_share, strict=True
-    ):
-        source = "the scene" if share > 0.5 else "the calibration: the scene does not determine it"
-        rows.append((axis, f"{t:+.4f} ± {COVERAGE_95 * s:.4f}", source))
-    print_columns(rows)
+    angles, half_widths = np.degrees(correction.rotation), np.degrees(COVERAGE_95 * correction.std)
+    columns = [
+        ("rotation since calibration", *ROTATION_NAMES),
+        ("degrees, 95 %", *align_decimals([format_uncertain(*pair) for pair in zip(angles, half_widths, strict=True)])),
+        (
+            "determined by",
+            *(
+                "the scene" if share > 0.5 else "the calibration: the scene does not determine it"
+                for share in correction.scene_share
+            ),
+        ),
+    ]
+    print_columns(list(zip(*columns, strict=True)))
     print(
         f"\n{check.matches} points in {frames} frames, off their epipolar lines (rms) by {correction.explained_px:.2f} "
         f"px that this rotation explains, {correction.unexplained_px:.2f} px that it does not, and "
@@ -177,9 +184,12 @@ def verdict(check: RigCheck, refusal: Message) -> str:
 
 
 def _print_effects(correction: RotationCorrection, out: Path) -> None:
+    from paceline.number_format import format_half_width
     from paceline.units import COVERAGE_95
 
-    effects = "   ".join(f"{e.distance:.0f} m ± {100 * COVERAGE_95 * e.along:.1f} %" for e in correction.effects)
+    effects = "   ".join(
+        f"{e.distance:.0f} m ± {format_half_width(100 * COVERAGE_95 * e.along)} %" for e in correction.effects
+    )
     print(f"speeds   {effects}   (95 %, from the calibration alone)")
     print(f"No scene determines the distance between the cameras: {out} keeps the calibration's.")
 

@@ -249,9 +249,8 @@ def detector_of(config: Path | None, settings: SpeedSettings) -> Path | None:
 
 
 def _print_result(result: ClipResult, unit: str) -> None:
+    from paceline.number_format import NO_VALUE, align_decimals
     from paceline.reports.common.formatting import (
-        NO_VALUE,
-        align_decimals,
         format_compliance,
         format_measurement,
         format_seen,

@@ -141,8 +141,8 @@ def _format_vehicle(
     detected: DetectedVehicle, measurement: Measurement | None, reason: Message, unit: SpeedUnit
 ) -> str:
     """The printed line of a vehicle that has passed."""
+    from paceline.number_format import NO_VALUE
     from paceline.reports.common.formatting import (
-        NO_VALUE,
         format_compliance,
         format_measurement,
         format_verdict,

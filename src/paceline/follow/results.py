@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from paceline.arrays import Array, Indices
+from paceline.number_format import format_uncertain
 from paceline.path_following.steering_goal import SteeringGoal
 from paceline.units import COVERAGE_95
 
@@ -40,7 +41,7 @@ class FollowEstimate:
     def __repr__(self) -> str:
         """One line, without the lines and points."""
         x, y, z = (
-            f"{value:.3f} ± {COVERAGE_95 * std:.3f}"
+            format_uncertain(value, COVERAGE_95 * std)
             for value, std in zip(self.position, self.position_std, strict=True)
         )
         reason = f" ({self.reason})" if self.reason else ""

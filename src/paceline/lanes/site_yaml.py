@@ -8,6 +8,7 @@ from paceline.documents.yaml_editing import format_pixels, format_text, insert_b
 from paceline.documents.yaml_loading import load_yaml
 from paceline.errors import UnusableInput
 from paceline.lanes.lane_proposals import Lane
+from paceline.number_format import format_uncertain
 from paceline.units import COVERAGE_95
 
 
@@ -48,7 +49,7 @@ def with_lanes(text: str, file: str, lanes: dict[str, Lane]) -> str:
 def _entries(lanes: dict[str, Lane], indent: int) -> list[str]:
     pad, lines = " " * indent, []
     for name, lane in lanes.items():
-        width = f"{lane.width:.2f} ± {COVERAGE_95 * lane.width_std:.2f} m wide (95 %)"
+        width = f"{format_uncertain(lane.width, COVERAGE_95 * lane.width_std)} m wide (95 %)"
         lines += [
             f"{pad}{name}:  # between lines {lane.between[0]} and {lane.between[1]}, {width}",
             f"{pad}  shape: {lane.shape}",

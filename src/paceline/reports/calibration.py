@@ -103,7 +103,9 @@ def _draw(figure: Figure, calibration: Calibration) -> None:
     for side, name in enumerate(VIEW_NAMES):
         _draw_coverage(figure.add_subplot(grid[0, side]), calibration, side, name)
     _draw_errors(figure.add_subplot(grid[1, :]), calibration)
-    figure.axes[0].legend(loc="upper left", bbox_to_anchor=(0, -0.03), ncols=3, handletextpad=0.2, markerscale=4)
+    corners, errors = (figure.axes[i].get_legend_handles_labels() for i in (0, -1))
+    handles, labels = corners[0] + errors[0], corners[1] + errors[1]
+    figure.legend(handles, labels, loc="outside lower left", ncols=3, markerscale=4)
 
 
 def _draw_coverage(axes: Axes, calibration: Calibration, side: int, name: str) -> None:
@@ -111,11 +113,11 @@ def _draw_coverage(axes: Axes, calibration: Calibration, side: int, name: str) -
     width, height = c.views.sizes[side]
     in_view = c.seen.side == side
     pixels = c.seen.pixels[in_view]
-    axes.scatter(pixels[:, 0], pixels[:, 1], s=3, color=FILTER_COLOR, lw=0, label="corners used")
+    axes.scatter(pixels[:, 0], pixels[:, 1], s=3, color=FILTER_COLOR, lw=0, label="corner of the board, used")
     left_out = [c.views.views[v].sides[side].pixels for v in c.rejected]
     if left_out:
         x, y = np.concatenate(left_out).T
-        axes.scatter(x, y, s=3, color=REFINED_COLOR, lw=0, alpha=0.6, label="of views left out")
+        axes.scatter(x, y, s=3, color=REFINED_COLOR, lw=0, alpha=0.6, label="corner of the board, in a view left out")
     axes.set_title(f"{name} image, {len(pixels)} corners")
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
@@ -135,16 +137,15 @@ def _draw_errors(axes: Axes, calibration: Calibration) -> None:
     top = max(1.25 * float(np.nanmax(errors)), 2 * median)
     place = np.arange(len(errors))
     for side, (name, color) in enumerate(zip(VIEW_NAMES, (FILTER_COLOR, MUTED_COLOR), strict=True)):
-        axes.bar(place + (side - 0.5) * 0.38, errors[:, side], 0.36, color=color, label=name)
+        axes.bar(place + (side - 0.5) * 0.38, errors[:, side], 0.36, color=color, label=f"error in the {name} image")
+    axes.axhline(median, color=INK_COLOR, lw=0.8, ls=(0, (4, 3)), label="median error")
     for v in c.rejected:
-        axes.axvspan(v - 0.45, v + 0.45, color=INTERVAL_COLOR, alpha=0.25, lw=0)
-        axes.text(v, 0.96 * top, "left out", rotation=90, ha="center", va="top", color=INK_COLOR, fontsize=7)
-    axes.axhline(median, color=INK_COLOR, lw=0.8, ls=(0, (4, 3)))
+        label = "view left out" if v == min(c.rejected) else None
+        axes.axvspan(v - 0.45, v + 0.45, color=INTERVAL_COLOR, alpha=0.25, lw=0, label=label)
     axes.set_ylim(0, top)
-    axes.set_title("error of each view, px (rms of a coordinate); dashed: the median")
+    axes.set_title("error of each view, px (RMS of a coordinate)")
     axes.grid(axis="x", visible=False)
     axes.margins(x=0.01)
-    axes.legend(loc="upper right", ncols=2)
     names = [view.name for view in c.views.views]
     if len(names) <= MAX_LABELLED_VIEWS:
         axes.set_xticks(place, [n.rsplit(".", 1)[0][-12:] for n in names], rotation=60, ha="right", fontsize=7)

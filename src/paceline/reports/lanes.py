@@ -8,6 +8,7 @@ import numpy as np
 from paceline.arrays import Array
 from paceline.cameras import StereoRig
 from paceline.lanes.lane_proposals import Lane, RoadLine
+from paceline.number_format import format_uncertain
 from paceline.recordings.background import Background
 from paceline.reports.common.drawing import (
     DISPLAY_GAMMA,
@@ -51,7 +52,7 @@ def draw_lanes(
         pixels = rig.cameras[side].undistort_points(recorded)
         for a, b in zip(pixels, pixels[1:], strict=False):
             draw_line(picture, a, b, CENTRE_COLOR, 2)
-        text = f"{name}  {lane.width:.2f} ± {COVERAGE_95 * lane.width_std:.2f} m"
+        text = f"{name}  {format_uncertain(lane.width, COVERAGE_95 * lane.width_std)} m"
         label_boxes.append(draw_label(picture, text, _label_position(picture, pixels, 0.5), CENTRE_COLOR, label_boxes))
     draw_label(picture, "yellow: lines with their 95 % band, green: middle of a lane", (0, 0), WHITE_BGR, label_boxes)
     return picture

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from paceline.arrays import Array, Image
+from paceline.number_format import format_half_width
 from paceline.targets.image_lines import Line
 from paceline.targets.side_estimation import EDGE_SIDE_STD_PX
 from paceline.units import COVERAGE_95
@@ -39,11 +40,12 @@ class ModelQuality:
     mirrored_share: float
 
     def __str__(self) -> str:
+        place_px = format_half_width(COVERAGE_95 * max(self.across_std, self.down_std))
+        distance_percent = format_half_width(100 * COVERAGE_95 * self.scale_std)
         return (
             f"{self.horizontal} horizontal and {self.vertical} vertical lines, {100 * self.mirrored_share:.0f} % of "
             f"them mirrored about the middle, with {self.contrast:.0f} grey levels of contrast; one image determines "
-            f"its place to ± {COVERAGE_95 * max(self.across_std, self.down_std):.1f} px and its distance to "
-            f"± {100 * COVERAGE_95 * self.scale_std:.1f} % (95 %)"
+            f"its place to ± {place_px} px and its distance to ± {distance_percent} % (95 %)"
         )
 
     def doubts(self) -> tuple[Message, ...]:

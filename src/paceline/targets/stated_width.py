@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import isfinite
 
 from paceline.errors import UnusableInput
+from paceline.number_format import format_uncertain
 from paceline.units import COVERAGE_95
 
 MIN_WIDTH_M, MAX_WIDTH_M = 0.2, 10.0
@@ -40,7 +41,7 @@ class StatedWidth:
         return self.half_width / COVERAGE_95
 
     def __str__(self) -> str:
-        return f"{self.metres:.2f} ± {self.half_width:.2f} m"
+        return f"{format_uncertain(self.metres, self.half_width)} m"
 
 
 def checked_width(metres: float, half_width: float | None = None) -> StatedWidth:

@@ -18,7 +18,8 @@ from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN
 from paceline.console.runs.results import Series, read_series, read_summary
 from paceline.console.runs.run_queue import STATE_WAITING, Run
 from paceline.errors import UnusableInput
-from paceline.reports.common.formatting import format_number, format_speed_number
+from paceline.number_format import format_number
+from paceline.reports.common.formatting import format_speed_number
 
 FILTER_TEXT = (
     "Filter estimates, frame by frame (preliminary). The final speeds are fitted to the whole track at the end, and "

@@ -25,7 +25,8 @@ from paceline.console.runs.results import (
     vehicle_rows,
 )
 from paceline.console.runs.run_queue import STATE_MEASURED, Run
-from paceline.reports.common.formatting import format_number, interval_title
+from paceline.number_format import format_number
+from paceline.reports.common.formatting import interval_title
 
 VERDICT_TEMPLATE = """
 <q-td :props="props">

@@ -14,13 +14,11 @@ from typing import Any
 
 from paceline.console.confinement import NotFound, file_below
 from paceline.errors import UnusableInput
+from paceline.number_format import NO_VALUE, IntervalText, format_number
 from paceline.reports.common.formatting import (
     INTERVAL_LIMITATIONS,
-    NO_VALUE,
-    IntervalText,
     align_for_page,
     format_compliance,
-    format_number,
     format_seen,
     format_speed,
     rejected_advice,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from paceline.number_format import format_number
 from paceline.recordings.monocular import CameraFrame
 from paceline.reports.common.drawing import DARK_BGR, WHITE_BGR, Color, Picture, draw_text
-from paceline.reports.common.formatting import format_number
 from paceline.reports.common.video import pad_to_even
 from paceline.reports.follow.overlay import draw_frame
 from paceline.simulation.closed_loop.loop import LoopStep

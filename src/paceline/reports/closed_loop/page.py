@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from paceline.reports.common.formatting import NO_VALUE, format_number
+from paceline.number_format import NO_VALUE, format_number
 from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
 from paceline.reports.follow.overlay import TargetStill

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from paceline.reports.common.formatting import NO_VALUE
+from paceline.number_format import NO_VALUE
 
 Key = float | str | None  # what a column is sorted by; None, where there is nothing, comes last
 

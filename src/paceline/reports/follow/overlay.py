@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array
 from paceline.follow.results import FollowEstimate
+from paceline.number_format import NO_VALUE, format_number, format_uncertain
 from paceline.recordings.monocular import CameraFrame
 from paceline.reports.common.drawing import (
     DARK_BGR,
@@ -22,7 +23,6 @@ from paceline.reports.common.drawing import (
     draw_text,
     scale_points,
 )
-from paceline.reports.common.formatting import NO_VALUE, format_number, format_uncertain
 from paceline.reports.common.video import pad_to_even
 from paceline.units import COVERAGE_95
 

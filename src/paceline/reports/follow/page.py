@@ -6,8 +6,8 @@ from pathlib import Path
 
 from paceline.follow.history import Episode, Tally
 from paceline.follow.results import FollowResult
+from paceline.number_format import NO_VALUE, format_half_width, format_number, format_uncertain
 from paceline.path_following.steering_goal import SteeringGoal
-from paceline.reports.common.formatting import NO_VALUE, format_number
 from paceline.reports.common.html import flatten_settings, render
 from paceline.reports.common.plots import Plot
 from paceline.reports.follow.overlay import TargetStill
@@ -46,9 +46,9 @@ def describe_steering(result: FollowResult) -> str:
 
 
 def describe_width(result: FollowResult) -> str:
-    """For example ``1.70 ± 0.05 m wide``, half of a 95 % interval, and whether that was assumed."""
-    half = format_number(COVERAGE_95 * result.width.std, 2)
-    return f"{format_number(result.width.metres, 2)} ± {half} m wide" + (" (± assumed)" if result.width.assumed else "")
+    """For example ``1.700 ± 0.050 m wide``, half of a 95 % interval, and whether that was assumed."""
+    width = format_uncertain(result.width.metres, COVERAGE_95 * result.width.std)
+    return f"{width} m wide" + (" (± assumed)" if result.width.assumed else "")
 
 
 def write_follow_page(
@@ -65,14 +65,14 @@ def write_follow_page(
         nearest=format_number(tally.range_min, 1),
         farthest=format_number(tally.range_max, 1),
         mean=format_number(tally.range_mean, 1),
-        typical=format_number(COVERAGE_95 * finite_quantile(result.position_std[tracking, 2]), 2),
+        typical=format_half_width(COVERAGE_95 * finite_quantile(result.position_std[tracking, 2])),
         duration=format_number(tally.stop - tally.start, 1),
         median=format_number(1e3 * finite_quantile(result.latency), 2),
         slowest=format_number(1e3 * finite_quantile(result.latency, 0.99), 2),
         advice=advice(tally),
         steering=describe_steering(result),
         width=describe_width(result),
-        width_share=format_number(100 * COVERAGE_95 * result.width.std / result.width.metres, 1),
+        width_share=format_half_width(100 * COVERAGE_95 * result.width.std / result.width.metres),
         episodes=[_episode_row(e) for e in tally.episodes[:MAX_LISTED_EPISODES]],
         unlisted=tally.episode_count - min(MAX_LISTED_EPISODES, len(tally.episodes)),
         reasons=tally.reasons.most_common(),

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from paceline.number_format import NO_VALUE, format_number
 from paceline.reports.common.formatting import (
-    NO_VALUE,
     align_for_page,
     count_compliance,
-    format_number,
     format_speed,
     format_speed_number,
     recording_title,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from paceline.cameras import VIEW_NAMES
-from paceline.reports.common.formatting import NO_VALUE, format_number, format_uncertain
+from paceline.number_format import NO_VALUE, format_number, format_uncertain
 from paceline.units import COVERAGE_95
 
 

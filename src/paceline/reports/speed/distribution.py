@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.special import bdtr, stdtrit
 
 from paceline.arrays import Array
-from paceline.reports.common.formatting import NO_VALUE, format_number, format_uncertain
+from paceline.number_format import NO_VALUE, format_number, format_uncertain
 from paceline.reports.common.plots import FILTER_COLOR, INK_COLOR, INTERVAL_COLOR, REFINED_COLOR, Plot, make_plot
 from paceline.speed.results import CONFIDENCE_LEVEL
 from paceline.units import convert

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array, to_8_bit
+from paceline.number_format import NO_VALUE
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.reports.common.drawing import (
     DARK_BGR,
@@ -26,7 +27,7 @@ from paceline.reports.common.drawing import (
     draw_text,
     scale_points,
 )
-from paceline.reports.common.formatting import NO_VALUE, format_compliance, format_measurement
+from paceline.reports.common.formatting import format_compliance, format_measurement
 from paceline.reports.common.video import VideoWriter, pad_to_even
 from paceline.speed.results import ClipResult, Measurement, Track
 

@@ -7,19 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
+from paceline.number_format import NO_VALUE, IntervalText, format_number, format_uncertain
 from paceline.reports.common.formatting import (
     INTERVAL_LIMITATIONS,
-    NO_VALUE,
-    IntervalText,
     align_for_page,
     count_compliance,
     distance_travelled,
     format_compliance,
     format_measurement,
-    format_number,
     format_parts,
     format_seen,
-    format_uncertain,
     interval_title,
     path_length,
     recording_title,
@@ -33,7 +30,7 @@ from paceline.reports.speed.distribution import MANY_VEHICLES, Distribution, des
 from paceline.reports.speed.overlay import StereoStill
 from paceline.reports.speed.vehicle_table import identifying_picture, section_anchor, vehicle_table
 from paceline.speed.results import ClipResult, Measurement
-from paceline.units import convert
+from paceline.units import COVERAGE_95, convert
 from paceline.verdicts import Message, plural
 
 
@@ -168,8 +165,8 @@ def _rows(measurement: Measurement, unit: str) -> list[list[str]]:
     track = measurement.track
     speeds = [format_uncertain(*(convert(v, unit) for v in speed_at(measurement, i))) for i in range(len(track.frame))]
     filtered = [
-        format_uncertain(convert(speed, unit), convert(2 * spread, unit))
-        for speed, spread in zip(track.speed.tolist(), track.speed_std.tolist(), strict=True)
+        format_uncertain(convert(speed, unit), convert(COVERAGE_95 * std, unit))
+        for speed, std in zip(track.speed.tolist(), track.speed_std.tolist(), strict=True)
     ]
     columns = (
         [str(frame) for frame in track.frame],

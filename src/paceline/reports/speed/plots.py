@@ -18,7 +18,7 @@ from paceline.reports.common.plots import (
     make_plot,
 )
 from paceline.speed.results import ClipResult, Measurement, Track
-from paceline.units import convert
+from paceline.units import COVERAGE_95, convert
 
 MAX_DOTTED_FRAMES = 80
 
@@ -50,9 +50,9 @@ def _draw_speed(figure: Figure, measurement: Measurement, unit: str) -> None:
     track = measurement.track
     axes = figure.subplots()
     time = track.time
-    mean, spread = convert(track.speed, unit), convert(2 * track.speed_std, unit)
-    axes.fill_between(time, mean - spread, mean + spread, color=FILTER_COLOR, alpha=0.22, lw=0, label="filter ± 2 std")
-    _draw_frames(axes, time, mean, FILTER_COLOR, track.hidden, label="filter, frame by frame")
+    mean, half_width = convert(track.speed, unit), convert(COVERAGE_95 * track.speed_std, unit)
+    axes.fill_between(time, mean - half_width, mean + half_width, color=FILTER_COLOR, alpha=0.22, lw=0)
+    _draw_frames(axes, time, mean, FILTER_COLOR, track.hidden, label="filter, frame by frame (95 %, its spread alone)")
     refined = np.isfinite(track.refined_speed)
     visible = [mean]
     if refined.any():
@@ -67,7 +67,7 @@ def _draw_speed(figure: Figure, measurement: Measurement, unit: str) -> None:
             axes.axhline(value, color=INTERVAL_COLOR, lw=1.1, ls=(0, (4, 2)))
         axes.lines[-1].set_label(f"mean speed, {interval_title([measurement.interval_from])}")
         visible.append(np.array([lo, hi]))
-    _limit_y(axes, np.concatenate(visible), mean - spread, mean + spread)
+    _limit_y(axes, np.concatenate(visible), mean - half_width, mean + half_width)
     _label_time(axes, track)
     axes.set_ylabel(f"speed, {unit}")
     figure.legend(loc="outside upper left", ncols=4, handlelength=1.6, columnspacing=1.6)

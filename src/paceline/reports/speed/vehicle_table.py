@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from paceline.number_format import NO_VALUE
 from paceline.reports.common.formatting import (
     INTERVAL_LIMITATIONS,
-    NO_VALUE,
     align_for_page,
     format_compliance,
     format_limit,
