@@ -198,12 +198,31 @@ def test_the_facts_of_a_set_up_are_those_of_the_scene(tmp_path: Path) -> None:
     assert vehicle["distance_m"] == pytest.approx(np.linalg.norm(row["position"]), rel=0.01)
     assert vehicle["width_m"] == pytest.approx(1.8, abs=0.15) and vehicle["height_m"] == pytest.approx(0.7, abs=0.3)
     assert vehicle["epipolar_px"] < 0.5 and "warning" not in vehicle and "problem" not in vehicle
-    assert vehicle["beside_path_m"] == pytest.approx(1.85, abs=0.4)
+    assert vehicle["beside_lane_centre_m"] < 0.4 and "lane_centres_m" not in vehicle and "nearer_path" not in vehicle
     assert path["near_m"] < 25 and path["far_m"] > 35 and "problem" not in path
     shifted = {**entry, "right": [[x, y + 8] for x, y in entry["right"]]}
     assert "epipolar line" in check_setup(clip.rig, {}, [shifted])["vehicles"][0]["warning"]
     beside = clip.clip["paths"] | {"again": clip.clip["paths"]["lane0"]}
     assert check_setup(clip.rig, beside, [])["paths"]["again"]["gap_m"] == pytest.approx(0, abs=1e-6)
+
+
+def test_a_lane_centre_or_another_lane_is_offered_to_a_vehicle_beside_its_lane() -> None:
+    """The centre for its direction of travel, and the lane that is nearer."""
+    clip = rendered()
+    path, (vehicle,) = clip.clip["paths"]["lane0"], clip.clip["vehicles"]
+    centred = path["lateral_offset"]
+    paths = {"lane0": {**path, "lateral_offset": 0.0}, "lane1": path, "lane2": {**path, "lateral_offset": 7.0}}
+    (found,) = check_setup(clip.rig, paths, [vehicle])["vehicles"]
+    assert found["beside_lane_centre_m"] == pytest.approx(abs(centred), abs=0.4) and found["nearer_path"] == "lane1"
+    assert found["lane_centres_m"]["approaching"] == pytest.approx(centred, abs=0.4)  # it approaches
+    assert found["lane_centres_m"]["receding"] == -found["lane_centres_m"]["approaching"]
+    right = {**path, "lateral_offset": found["lane_centres_m"]["approaching"]}
+    (corrected,) = check_setup(clip.rig, {"lane0": right}, [vehicle])["vehicles"]
+    assert corrected["beside_lane_centre_m"] == pytest.approx(0, abs=1e-9) and "lane_centres_m" not in corrected
+    (alone,) = check_setup(clip.rig, paths, [{**vehicle, "path": None}])["vehicles"]
+    assert alone["nearer_path"] == "lane1" and "beside_lane_centre_m" not in alone
+    (far,) = check_setup(clip.rig, {"lane2": paths["lane2"]}, [{**vehicle, "path": None}])["vehicles"]
+    assert "nearer_path" not in far
 
 
 def test_missing_parts_of_a_drawing_are_reported() -> None:

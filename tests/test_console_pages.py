@@ -7,6 +7,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -233,6 +234,59 @@ def test_drafts_are_restored_and_conflicts_resolved(console: Console) -> None:
     tab.wait_for("Saved in clip.yaml")
     assert "speed: 18" in file.read_text() and "speed: 22" not in file.read_text() and "# a note" in file.read_text()
     assert complaints(tab) == []
+
+
+def test_a_vehicle_beside_its_lane_is_assigned_to_another_or_its_lane_centre_is_set(console: Console) -> None:
+    """Each by one click; which side of the line the centre is on depends on the direction of travel."""
+    root, address, new = console
+    file = put_clip(root, "lanes") / "clip.yaml"
+    given = yaml.safe_load(file.read_text())
+    path = given["paths"]["lane0"]
+    centre = path["lateral_offset"]
+    given["paths"] = {"lane0": {**deepcopy(path), "lateral_offset": 0.0}, "lane1": path}
+    file.write_text(yaml.safe_dump(given))
+    tab = new()
+    tab.size(1280, 800)
+    tab.open(f"{address}/setup?clip=lanes")
+    tab.wait_for("beside its lane centre")
+    tab.click("Assign to lane1")
+    tab.wait("!document.body.innerText.includes('Assign to')")
+    assert setup_of(tab)[1][0]["path"] == "lane1" and "Set lane centre" not in tab.text()
+    tab.click("Undo")
+    tab.wait_for("Assign to lane1")
+    (text,) = (line for line in tab.text().splitlines() if line.startswith("Set lane centre") and "approaching" in line)
+    tab.click(text)
+    tab.wait("!document.body.innerText.includes('Set lane centre')")
+    offset = setup_of(tab)[0]["lane0"]["lateral_offset"]
+    assert offset == pytest.approx(centre, abs=0.4) and f"Set lane centre to {format_number(offset, 2)} m" in text
+    assert "beside its lane centre\n0.00 m" in tab.text()
+    tab.click("Save")
+    tab.wait_for("Saved in clip.yaml")
+    assert yaml.safe_load(file.read_text())["paths"]["lane0"]["lateral_offset"] == offset and complaints(tab) == []
+
+
+def test_pictures_fit_a_window_that_changes_its_size(console: Console) -> None:
+    """The whole picture stays whole, and of a part the same remains in view."""
+    root, address, new = console
+    put_clip(root, "window")
+    tab = new()
+    tab.size(1280, 800)
+    tab.open(f"{address}/setup?clip=window")
+    tab.wait(f"!!{EDITOR}?.views?.[1].image")
+    view = f"{EDITOR}.views[1]"
+    for width, height in ((820, 700), (1500, 900)):
+        before = tab.run(f"{view}.width")
+        tab.size(width, height)
+        tab.wait(f"{view}.width !== {before} && {view}.scale === {view}.fitting")
+        corners = tab.run(f"[{view}.toScreen([-0.5, -0.5]), {view}.toScreen([639.5, 479.5])]")
+        assert np.min(corners) > -1 and (np.array(corners[1]) < tab.run(f"[{view}.width + 1, {view}.height + 1]")).all()
+    tab.run(f"{EDITOR}.show({{kind: 'vehicle', id: 0}})")
+    zoom, centre = tab.run(f"[{view}.scale / {view}.fitting, {view}.centre]")
+    assert zoom > 2
+    tab.size(1100, 760)
+    tab.wait(f"{view}.fitted === {view}.fitting && {view}.width < 400")
+    assert tab.run(f"{view}.scale / {view}.fitting") == pytest.approx(zoom)
+    assert tab.run(f"{view}.centre") == centre and complaints(tab) == []
 
 
 def test_a_search_is_resumed_after_a_reload(console: Console) -> None:

@@ -270,3 +270,12 @@ def line_displacement(camera: Camera, lines: Array, vertical: NDArray[np.bool_])
     return np.where(vertical, displacement[:, 0], displacement[:, 1]), np.where(
         vertical, displacement[:, 1], displacement[:, 0]
     )
+
+
+def direction_name(direction: Array) -> str:
+    """How the cameras see a vehicle drive along ``direction`` (3,): ``approaching``, ``receding``, ``to the left`` or
+    ``to the right``."""
+    x, _, z = direction
+    if abs(z) >= abs(x):
+        return "approaching" if z < 0 else "receding"
+    return "to the left" if x < 0 else "to the right"

@@ -282,6 +282,8 @@ def _parse_path(value: object) -> Entry:
     path = _parse_entry(value)
     if "shape" not in path:
         raise UnusableInput("a path: expected shape line or curve")
+    if path.get("lateral_offset") is not None:
+        parse_number(path["lateral_offset"])
     return path
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
-from paceline.cameras import StereoRig
+from paceline.cameras import StereoRig, direction_name
 from paceline.console.editing.clip_document import Entry
 from paceline.console.editing.cross_view_proposals import Proposal, propose_line, propose_quadrilateral, swapped_views
 from paceline.documents.plausibility import check_drawing, check_path_points, check_quadrilateral, check_views
@@ -24,6 +24,8 @@ Facts = dict[str, Any]
 VEHICLE_WIDTH_RANGE_M, VEHICLE_HEIGHT_RANGE_M = (0.3, 20.0), (0.1, 4.5)  # from a number plate to a lorry's side
 MAX_EPIPOLAR_DISTANCE_PX = 3.0  # epipolar distance of a corner that click noise can cause
 EPIPOLAR_MARKS_M = (5, 10, 20, 30, 50, 80, 150)  # distances marked on an epipolar line
+MIN_CORRECTED_DISTANCE_M = 0.5  # from the lane centre, beyond which another one is offered
+MAX_OFFERED_DISTANCE_M = 1.5  # from the centre of a lane that is offered
 MAX_ROAD_SLOPE = 0.7  # greatest slope in camera axes, as the cameras may be tilted; steeper is a mistake
 
 
@@ -63,7 +65,7 @@ def check_setup(rig: StereoRig, paths: Mapping[str, Entry], vehicles: list[Entry
     path_facts = {name: _check_path(rig, name, entry, paths_in_space) for name, entry in paths.items()}
     for name, path in paths_in_space.items():
         path_facts[name] |= _nearest_path(name, path, paths_in_space)
-    return {"paths": path_facts, "vehicles": [_check_vehicle(rig, entry, paths_in_space) for entry in vehicles]}
+    return {"paths": path_facts, "vehicles": [_check_vehicle(rig, entry, paths, paths_in_space) for entry in vehicles]}
 
 
 def _check_path(rig: StereoRig, name: str, entry: Entry, paths_in_space: dict[str, Path]) -> Facts:
@@ -116,7 +118,9 @@ def _nearest_path(name: str, path: Path, paths: Mapping[str, Path]) -> Facts:
     return {"beside": nearest, "gap_m": gaps[nearest]}
 
 
-def _check_vehicle(rig: StereoRig, entry: Entry, paths: Mapping[str, Path]) -> Facts:
+def _check_vehicle(
+    rig: StereoRig, entry: Entry, paths: Mapping[str, Entry], paths_in_space: Mapping[str, Path]
+) -> Facts:
     ideal = []
     for side, camera in zip(("left", "right"), rig.cameras, strict=True):
         corners = np.array(entry.get(side) or [], float).reshape(-1, 2)
@@ -141,11 +145,7 @@ def _check_vehicle(rig: StereoRig, entry: Entry, paths: Mapping[str, Path]) -> F
         "distance_std_m": DEFAULTS.click_sigma * np.sqrt(0.5) * float(centre[2]) ** 2
         / (rig.left.K[0, 0] * rig.baseline),
     }  # fmt: skip
-    path = paths.get(entry.get("path") or "")
-    if path is not None:
-        foot = path.at(np.array(path.nearest(centre)))
-        facts["beside_path_m"] = float(np.hypot(*(foot - centre)[[0, 2]]))
-        facts["above_path_m"] = float(foot[1] - centre[1])
+    facts |= _place_in_lane(centre, entry.get("path"), paths, paths_in_space)
     for quantity, value, (minimum, maximum) in (
         ("wide", width, VEHICLE_WIDTH_RANGE_M),
         ("high", height, VEHICLE_HEIGHT_RANGE_M),
@@ -159,6 +159,36 @@ def _check_vehicle(rig: StereoRig, entry: Entry, paths: Mapping[str, Path]) -> F
             f"a corner lies {epipolar_px:.1f} px off its epipolar line; mark the same corners in both views"
         )
     return facts
+
+
+def _place_in_lane(
+    centre: Array, own: str | None, paths: Mapping[str, Entry], paths_in_space: Mapping[str, Path]
+) -> Facts:
+    """How far a vehicle's ``centre`` (3,) is from the centre of its ``own`` lane. Where that is far, or it has none:
+    ``lane_centres_m``, how far to the right of the line the lane centre would have to be, by direction of travel; and
+    ``nearer_path``, the lane whose centre is nearest, if it is another one."""
+    offsets = {name: _offset(centre, path) for name, path in paths_in_space.items()}
+    # which side of the line the lane is on depends on the direction of travel
+    distances = {
+        name: abs(abs(offset) - abs(paths[name].get("lateral_offset") or 0.0)) for name, offset in offsets.items()
+    }
+    facts: Facts = {}
+    if own in distances:
+        facts["beside_lane_centre_m"] = distances[own]
+        if distances[own] <= MIN_CORRECTED_DISTANCE_M:
+            return facts
+        ahead = paths_in_space[own].direction_near(centre)
+        facts["lane_centres_m"] = {direction_name(ahead): offsets[own], direction_name(-ahead): -offsets[own]}
+    nearest = min(distances, key=lambda name: distances[name], default=None)
+    if nearest not in (None, own) and distances[nearest] <= MAX_OFFERED_DISTANCE_M:
+        facts["nearer_path"] = nearest
+    return facts
+
+
+def _offset(point: Array, path: Path) -> float:
+    """How far a ``point`` (3,) is to the right of ``path``, m, seen along increasing arc length."""
+    s = np.array(path.nearest(point))
+    return float((point - path.at(s)) @ path.frames(s)[:, 1])
 
 
 def _horizontal_edges(q: Array) -> Array:

@@ -45,8 +45,7 @@ export class EditorElement extends HTMLElement { // a subclass has a model, view
   }
 
   resized() {
-    if (!this.sized) for (const view of this.views) view.fit();
-    this.sized = this.views[0].width > 0;
+    for (const view of this.views) view.resize();
     this.paint();
   }
 

@@ -4,6 +4,7 @@ import { make } from "./importer.js";
 import { ITEM_COLORS } from "./view.js";
 import { ordered } from "./model.js";
 
+const OFFSET_TEXT = "Metres from the drawn line to the lane centre, positive to the right of travel";
 const COVERAGE_95 = 1.959963984540054; // standard deviations on each side of a 95 % interval
 
 const uncertain = (value, half, unit) => { // half with two significant digits, the value to the same decimal
@@ -23,7 +24,7 @@ function facts(kind, found) {
     list.push(["distance", uncertain(found.distance_m, COVERAGE_95 * found.distance_std_m, "m")]);
     list.push(["width × height", `${found.width_m.toFixed(2)} × ${metres(found.height_m, 2)}`]);
     list.push(["views agree to", `${found.epipolar_px.toFixed(1)} px`]);
-    if (found.beside_path_m !== undefined) list.push(["beside its line", metres(found.beside_path_m, 2)]);
+    if (found.beside_lane_centre_m !== undefined) list.push(["beside its lane centre", metres(found.beside_lane_centre_m, 2)]);
   }
   return list;
 }
@@ -65,8 +66,30 @@ export class ItemList {
     }
     if (found?.problem) box.append(make("p", { className: "problem", textContent: found.problem }));
     if (found?.warning) box.append(make("p", { className: "warning", textContent: found.warning }));
+    if (!editor.readonly) box.append(...this.corrections(chosen, entry, found));
     if (now && !editor.readonly) box.append(...this.fields(chosen, name, entry));
     return box;
+  }
+
+  corrections(chosen, entry, found) { // of a vehicle that is beside its lane, one click each
+    const { model } = this.editor;
+    const buttons = [];
+    const offer = (text, title, change) => buttons.push(make("button", { className: "pl-button", type: "button", textContent: text, title,
+      onclick: (event) => { event.stopPropagation(); model.change(change); } }));
+    if (found?.nearer_path) {
+      offer(`Assign to ${found.nearer_path}`, "The lane whose centre is nearest", (m) => {
+        m.vehicles[chosen.id] = ordered({ ...m.vehicles[chosen.id], path: found.nearer_path });
+      });
+    }
+    if (entry.path in model.paths) { // a lane of the site file is not changed here
+      for (const [travel, offset] of Object.entries(found?.lane_centres_m ?? {})) {
+        const rounded = Math.round(offset * 100) / 100;
+        offer(`Set lane centre to ${rounded.toFixed(2).replace("-", "−")} m (${travel})`, `Direction of travel: ${travel}. ${OFFSET_TEXT}`, (m) => {
+          m.paths[entry.path] = ordered({ ...m.paths[entry.path], lateral_offset: rounded });
+        });
+      }
+    }
+    return buttons.length ? [make("div", { className: "ed-bar" }, ...buttons)] : [];
   }
 
   fields(chosen, name, entry) {
@@ -91,8 +114,8 @@ export class ItemList {
     const fields = [field("name", naming)];
     if (chosen.kind === "path") {
       fields.push(field("shape", select([["line", "straight"], ["curve", "curve"]], entry.shape, "shape")));
-      const offset = field("lane centre, m", number(entry.lateral_offset, "lateral_offset", 0.05));
-      offset.title = "From the drawn line to the middle of the lane; positive to the right of travel";
+      const offset = field("line to lane centre, m", number(entry.lateral_offset, "lateral_offset", 0.05));
+      offset.title = OFFSET_TEXT;
       const limit = make("input", { value: entry.limit ?? "", placeholder: "30 mph", maxLength: 40 });
       limit.onchange = () => set("limit", limit.value.trim() || undefined);
       fields.push(offset, field("speed limit", limit));
@@ -106,7 +129,6 @@ export class ItemList {
     const act = (text, action) => make("button", { className: "pl-button", textContent: text, onclick: (event) => { event.stopPropagation(); action(); } });
     const drawn = ["left", "right"].filter((side) => entry[side]?.length);
     const row = make("div", { className: "ed-bar" });
-    row.style.marginTop = "8px";
     for (const side of drawn) {
       const other = side === "left" ? "right" : "left";
       const button = act(`Propose ${other}`, () => editor.proposals.other(chosen, side === "left" ? 0 : 1));

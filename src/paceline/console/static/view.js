@@ -27,6 +27,13 @@ export class View {
     this.centre = [this.size[0] / 2 - 0.5, this.size[1] / 2 - 0.5];
   }
 
+  resize() { // to the canvas's new size: what was shown stays in view, the whole image too
+    if (!this.width) return;
+    if (this.fitted) this.scale *= this.fitting / this.fitted;
+    else this.fit();
+    this.fitted = this.fitting;
+  }
+
   toScreen([x, y]) {
     return [(x - this.centre[0]) * this.scale + this.width / 2, (y - this.centre[1]) * this.scale + this.height / 2];
   }
