@@ -11,6 +11,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import tiny_chase
@@ -22,6 +23,7 @@ from test_survey_live import SPEEDS, survey_file
 from tiny_clips import put_clip, rendered
 
 from paceline.number_format import format_number
+from paceline.units import COVERAGE_95
 
 pytestmark = needs_chromium
 EDITOR = "document.querySelector('pl-editor')"
@@ -287,6 +289,46 @@ def test_pictures_fit_a_window_that_changes_its_size(console: Console) -> None:
     tab.wait(f"{view}.fitted === {view}.fitting && {view}.width < 400")
     assert tab.run(f"{view}.scale / {view}.fitting") == pytest.approx(zoom)
     assert tab.run(f"{view}.centre") == centre and complaints(tab) == []
+
+
+def test_the_chart_draws_speeds_unrounded_on_an_axis_that_their_interval_deserves(console: Console) -> None:
+    """And the outlines of a vehicle stand above the table, at their size."""
+    root, address, new = console
+    clip = put_clip(root, "chart")
+    out = clip / "runs" / "0001" / "out"
+    for folder in ("pictures", "outlines"):
+        (out / folder).mkdir(parents=True)
+        cv2.imwrite(str(out / folder / "v_0.jpg"), np.full((60, 120, 3), 90, np.uint8))
+    record = {"clip": "", "number": 1, "kind": "speed", "options": [], "state": "measured", "created": 1.0}
+    (out.parent / "run.json").write_text(json.dumps(record))
+    measured = {"vehicle": "v 0", "speed_mps": 20.0, "speed_lo_mps": 19.9, "speed_hi_mps": 20.1, "verdict": "measured"}
+    fast = {"vehicle": "v1", "speed_mps": 30.0, "speed_lo_mps": 29.9, "speed_hi_mps": 30.1, "verdict": "measured"}
+    vehicles = [{**measured, "picture": "pictures/v_0.jpg"}, {**fast, "picture": None}]
+    (out / "summary.json").write_text(json.dumps({"vehicles": vehicles, "notices": []}))
+    speeds = [20 + 1e-4 * k for k in range(5)]
+    rows = [f"{name},{k},{v},0.05,{v},0.05" for name, add in (("v 0", 0), ("v1", 10)) for k, v in enumerate(speeds)
+            for v in (v + add,)]  # fmt: skip
+    header = "vehicle,time_s,speed_mps,speed_std_mps,refined_speed_mps,refined_std_mps"
+    (out / "estimates.csv").write_text("\n".join([header, *rows]) + "\n")
+    tab = new()
+    tab.size(1280, 1000)
+    tab.open(f"{address}/runs?clip=chart&unit=m/s")
+    tab.wait("document.querySelectorAll('.pl-chart canvas').length > 0")
+    assert tab.wait("document.querySelector('.pl-outlines img')?.naturalWidth") == 120
+    above = "document.querySelector('.pl-outlines').getBoundingClientRect().bottom"
+    assert tab.run(f"{above} <= document.querySelector('table').getBoundingClientRect().top")
+    assert tab.run("document.querySelector('.pl-outlines').innerText") == "v 0: 20.00 ± 0.10 m/s"
+    chart = "getElement(Number(document.querySelector('.pl-chart').id.slice(1))).chart"
+    drawn = tab.wait(f"{chart}?.getOption().series[2].data.map((point) => point[1])")
+    assert drawn == speeds
+    extent = f"{chart}.getModel().getComponent('yAxis').axis.scale.getExtent()"
+    low, high = tab.run(extent)
+    assert low < 19.9 and high > 30.1
+    assert high - low == pytest.approx(1.1 * (10.0004 + 2 * 0.05 * COVERAGE_95))
+    tab.run(f"{chart}.dispatchAction({{ type: 'legendUnSelect', name: 'v1' }})")
+    low, high = tab.run(extent)
+    assert high - low == pytest.approx(4 * 0.05 * COVERAGE_95) and (low + high) / 2 == pytest.approx(20.0002)
+    assert complaints(tab) == []
 
 
 def test_a_search_is_resumed_after_a_reload(console: Console) -> None:

@@ -147,11 +147,15 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_files(out: Path) -> None:
     names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
-    pictures = [f"pictures/{v}.jpg" for v in ("v0", "v1", "v2")]
+    pictures = [f"{folder}/{v}.jpg" for folder in ("pictures", "outlines") for v in ("v0", "v1", "v2")]
     plots = [f"plots/{v}-{kind}.png" for v in ("v0", "v1", "v2") for kind in ("depth", "particles", "speed")]
     tables = ["estimates.csv", "vehicles.csv", "summary.json"]
     assert names == sorted([*tables, "report.html", "overlay.mp4", "plots/plan.png", *plots, *pictures])
     assert sorted(p.name for p in out.parent.iterdir()) == ["out"]
+    outlines, middle = (cv2.imread(str(out / folder / "v0.jpg")) for folder in ("outlines", "pictures"))
+    height, width, _ = middle.shape
+    assert outlines.shape == (2 * height, 3 * width, 3)  # both views, three frames
+    assert np.abs(outlines[:height, width : 2 * width].astype(float) - middle).mean() < 3
 
 
 def test_estimates_are_exact(out: Path, result: ClipResult) -> None:

@@ -31,7 +31,7 @@ from paceline.console.library import Library
 from paceline.console.request_body import read_body, read_json
 from paceline.console.runs.kinds import LANES_RUN, RUN_KINDS
 from paceline.console.runs.options import command_options, parse_number, parse_whole_number
-from paceline.console.runs.results import RESULT_FILES, picture_name
+from paceline.console.runs.results import PICTURE_FOLDERS, RESULT_FILES, picture_name
 from paceline.console.runs.run_queue import Run
 from paceline.console.target_routes import target_router
 from paceline.errors import UnusableInput
@@ -228,10 +228,12 @@ def _run_routes(library: Library) -> APIRouter:
     def live(clip: str, number: int, frame: int, view: int) -> Response:
         return _jpeg_response(library.runs.picture(_find_run(library, clip, number), frame, view))
 
-    @router.get("/results/{clip}/{number}/pictures/{stem}.jpg")
-    def picture(clip: str, number: int, stem: str) -> FileResponse:
+    @router.get("/results/{clip}/{number}/{folder}/{stem}.jpg")
+    def picture(clip: str, number: int, folder: str, stem: str) -> FileResponse:
         run = _find_run(library, decode_clip(clip), number)
-        return FileResponse(file_below(library.runs.output_folder(run), picture_name(stem)))
+        if folder not in PICTURE_FOLDERS:
+            raise NotFound(folder)
+        return FileResponse(file_below(library.runs.output_folder(run), picture_name(stem, folder)))
 
     @router.get("/results/{clip}/{number}/{name}")
     def result(clip: str, number: int, name: str, save: bool = False) -> FileResponse:

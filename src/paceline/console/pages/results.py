@@ -15,6 +15,7 @@ from paceline.console.routes import result_address
 from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN
 from paceline.console.runs.results import (
     compare_summaries,
+    has_outlines,
     picture_name,
     picture_stem,
     read_follow_summary,
@@ -27,6 +28,7 @@ from paceline.console.runs.results import (
 from paceline.console.runs.run_queue import STATE_MEASURED, Run
 from paceline.number_format import format_number
 from paceline.reports.common.formatting import interval_title
+from paceline.reports.speed.tables import OUTLINES_FOLDER
 
 VERDICT_TEMPLATE = """
 <q-td :props="props">
@@ -52,6 +54,11 @@ UNBROKEN_COLUMNS = ("speed", "interval", "limit", "seen")  # numbers that stay o
 ADVICE_COLUMN = {"name": "advice", "label": "advice", "field": "advice", "align": "left"}
 ROWS_PER_PAGE = 50
 MAX_ROWS = 1000  # rows of a table; ten times as many would block all pages for a second
+MAX_OUTLINED_VEHICLES = 12  # whose outlines are on the page; the report has all
+OUTLINES_TEXT = (
+    "Does the outline stay on the same part of the vehicle? First, middle and last frame measured, the left view above "
+    "the right one:"
+)
 MAX_RECENT_PICTURES = 3  # vehicles with a picture on the page; the report has more
 CompareHandler = Callable[[Any], None]
 
@@ -74,6 +81,8 @@ def show_speeds(
     summary, series = read_summary(out), read_series(out, growing=run.kind == LIVE_RUN)
     if run.kind == LIVE_RUN:
         show_recent_vehicles(run, summary, unit)
+    else:
+        show_outlines(library, run, summary["vehicles"], unit)
     show_vehicle_table(run, summary["vehicles"], unit)
     if not summary["vehicles"]:
         ui.label("No vehicle was detected.").classes("pl-reason")
@@ -138,13 +147,31 @@ def show_recent_vehicles(run: Run, summary: dict[str, Any], unit: str) -> None:
     rows = vehicle_rows(summary["vehicles"][-MAX_RECENT_PICTURES:], unit)
     with ui.element("div").classes("pl-recent"):
         for row in reversed(rows):
-            name = row["vehicle"]
-            with ui.element("figure"):
-                picture = ui.element("img")
-                picture.props["src"] = result_address(run.clip, run.number, picture_name(name))
-                picture.props["alt"] = f"{name} in both views"
-                speed = f"{row['speed']} {unit}" if row["verdict"] == "measured" else row["reason"]
-                ui.label(f"{name}: {speed}").classes("pl-fact")
+            _show_figure(run, picture_name(row["vehicle"]), row, unit)
+
+
+def show_outlines(library: Library, run: Run, vehicles: list[dict[str, Any]], unit: str) -> None:
+    """Shows the outlines of the first vehicles of a ``run``, where it has written them."""
+    out = library.runs.output_folder(run)
+    outlined = [v for v in vehicles if (stem := picture_stem(v)) is not None and has_outlines(out, stem)]
+    if not outlined:
+        return
+    shown = outlined[:MAX_OUTLINED_VEHICLES]
+    more = "" if len(shown) == len(outlined) else f" (of {len(shown)} of {len(outlined)} vehicles; the report has all)"
+    ui.label(OUTLINES_TEXT + more).classes("pl-fact")
+    with ui.element("div").classes("pl-outlines"):
+        for vehicle, row in zip(shown, vehicle_rows(shown, unit), strict=True):
+            _show_figure(run, picture_name(str(picture_stem(vehicle)), OUTLINES_FOLDER), row, unit)
+
+
+def _show_figure(run: Run, name: str, row: dict[str, str], unit: str) -> None:
+    """Shows the picture ``name`` of the vehicle of a ``row``, with its speed."""
+    with ui.element("figure"):
+        picture = ui.element("img")
+        picture.props["src"] = result_address(run.clip, run.number, quote(name))
+        picture.props["alt"] = f"{row['vehicle']} in both views"
+        speed = f"{row['speed']} {unit}" if row["verdict"] == "measured" else row["reason"]
+        ui.label(f"{row['vehicle']}: {speed}").classes("pl-fact")
 
 
 def show_range(library: Library, run: Run, runs: list[Run], other: int | None, compare: CompareHandler) -> None:

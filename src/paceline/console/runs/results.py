@@ -23,7 +23,7 @@ from paceline.reports.common.formatting import (
     format_speed,
     rejected_advice,
 )
-from paceline.reports.speed.tables import PICTURES_FOLDER
+from paceline.reports.speed.tables import OUTLINES_FOLDER, PICTURES_FOLDER
 from paceline.units import COVERAGE_95, convert
 
 RESULT_FILES = {  # of a run, with the text of their links
@@ -34,6 +34,7 @@ RESULT_FILES = {  # of a run, with the text of their links
     "summary.json": "Summary (JSON)",
     "overlay.mp4": "Video with the outlines",
 }
+PICTURE_FOLDERS = (PICTURES_FOLDER, OUTLINES_FOLDER)
 MAX_CHART_VALUES = 1500  # values of one series; longer ones are subsampled evenly
 TAIL_BYTES = 256 << 10  # bytes that are read from the end of a growing table
 MAX_LIVE_SERIES = 12  # number of latest vehicles of a growing table that are shown
@@ -78,9 +79,19 @@ def nothing_measured_reason(out: Path) -> str:
     return str(reasons[0]) if reasons else "no vehicle passed that could be measured"
 
 
-def picture_name(stem: str) -> str:
-    """A vehicle's picture, relative to the output folder; in a live run ``stem`` is the vehicle's id."""
-    return f"{PICTURES_FOLDER}/{stem}.jpg"
+def picture_name(stem: str, folder: str = PICTURES_FOLDER) -> str:
+    """A vehicle's picture in a ``folder`` of PICTURE_FOLDERS, relative to the output folder; in a live run ``stem`` is
+    the vehicle's id."""
+    return f"{folder}/{stem}.jpg"
+
+
+def has_outlines(out: Path, stem: str) -> bool:
+    """Whether a run has written the outlines of the vehicle with this ``stem``."""
+    try:
+        file_below(out, picture_name(stem, OUTLINES_FOLDER))
+    except NotFound:
+        return False
+    return True
 
 
 def picture_stem(vehicle: dict[str, Any]) -> str | None:

@@ -63,6 +63,12 @@ def middle_still(stills: Sequence[StereoStill]) -> StereoStill:
     return stills[len(stills) // 2]
 
 
+def join_stills(stills: Sequence[StereoStill]) -> bytes:
+    """All ``stills`` of a vehicle beside each other, the left view above the right one, as JPEG."""
+    views = ([still.left for still in stills], [still.right for still in stills])
+    return _encode_jpeg(np.vstack([np.hstack([_decode_jpeg(jpeg) for jpeg in view]) for view in views]))
+
+
 @dataclass
 class Overlay:
     """What `write_overlay` returns: stills by vehicle, and notices about the video."""
@@ -216,6 +222,14 @@ def _crop(view: Grey, corners: Array, color: Color) -> bytes:
     method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
     picture = _to_bgr(cv2.warpAffine(view, transform, STILL_SIZE_PX, flags=method, borderValue=OUTSIDE_GREY_LEVEL))
     draw_outline(picture, scale * corners + shift, color, thickness=2)
+    return _encode_jpeg(picture)
+
+
+def _decode_jpeg(jpeg: bytes) -> Picture:
+    return np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR), np.uint8)
+
+
+def _encode_jpeg(picture: cv2.typing.MatLike) -> bytes:
     encoded, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
     assert encoded
     return bytes(jpeg)

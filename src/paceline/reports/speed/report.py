@@ -10,10 +10,11 @@ from pathlib import Path
 from paceline.recordings.stereo import StereoRecording
 from paceline.reports.common.output_folder import OutputFolder
 from paceline.reports.common.plots import VEHICLE_COLORS
-from paceline.reports.speed.overlay import StereoStill, middle_still, write_overlay
+from paceline.reports.speed.overlay import StereoStill, join_stills, middle_still, write_overlay
 from paceline.reports.speed.page import write_page
 from paceline.reports.speed.plots import plan_plot, vehicle_plots
 from paceline.reports.speed.tables import (
+    OUTLINES_FOLDER,
     PICTURES_FOLDER,
     vehicle_summary,
     write_estimates,
@@ -78,13 +79,16 @@ def write_files(
 def _write_pictures(
     stills: Mapping[str, Sequence[StereoStill]], stems: Mapping[str, str], folder: Path
 ) -> dict[str, str]:
-    """Writes a picture of each vehicle that has stills; returns their names in the ``folder``."""
-    names = {vehicle: f"{PICTURES_FOLDER}/{stems[vehicle]}.jpg" for vehicle, shown in stills.items() if shown}
+    """Writes a picture of each vehicle that has stills, and one of all of them; returns the names of the former in the
+    ``folder``."""
+    names = {vehicle: f"{stems[vehicle]}.jpg" for vehicle, shown in stills.items() if shown}
     if names:
         (folder / PICTURES_FOLDER).mkdir(exist_ok=True)
+        (folder / OUTLINES_FOLDER).mkdir(exist_ok=True)
     for vehicle, name in names.items():
-        (folder / name).write_bytes(middle_still(stills[vehicle]).left)
-    return names
+        (folder / PICTURES_FOLDER / name).write_bytes(middle_still(stills[vehicle]).left)
+        (folder / OUTLINES_FOLDER / name).write_bytes(join_stills(stills[vehicle]))
+    return {vehicle: f"{PICTURES_FOLDER}/{name}" for vehicle, name in names.items()}
 
 
 def _file_stems(vehicles: list[str]) -> list[str]:

@@ -20,6 +20,7 @@ ESTIMATE_COLUMNS = [
 
 
 PICTURES_FOLDER = "pictures"  # of the output folder, with a picture of each vehicle
+OUTLINES_FOLDER = "outlines"  # with its outline in the first, the middle and the last frame, in both views
 VEHICLE_COLUMNS = [*SUMMARY_COLUMNS, "picture"]
 
 
