@@ -31,7 +31,14 @@ from paceline.console.library import Library
 from paceline.console.routes import result_address
 from paceline.console.runs.inputs import copy_documents
 from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN, command_arguments
-from paceline.console.runs.options import command_options, convert_tolerance
+from paceline.console.runs.options import (
+    command_options,
+    convert_tolerance,
+    limit_hint,
+    limit_problem,
+    setting_hint,
+    setting_problem,
+)
 from paceline.console.runs.results import (
     MAX_LIVE_SERIES,
     nothing_measured_reason,
@@ -165,6 +172,18 @@ def test_only_known_settings_reach_a_live_run() -> None:
     for learn in (-1, 1e9, "30", True, float("nan")):
         with pytest.raises(UnusableInput):
             command_options(LIVE_RUN, {"learn": learn})
+
+
+def test_settings_state_default_and_range_and_what_is_wrong() -> None:
+    assert setting_hint("particles") == "default: 400; at least 20, at most 1 000 000"
+    assert setting_hint("tolerance", "km/h") == "default: none; above 0 km/h"
+    assert setting_hint("learn", "s") == "default: 30 s; at least 0, at most 3 600 s"
+    assert limit_hint("mph") == "default: that of the files, if any; above 0, at most 336 mph"
+    for name, right, wrong in (("particles", 400.0, 5), ("seed", 0, 1.5), ("tolerance", 0.1, 0), ("learn", 0, 3601)):
+        assert setting_problem(name, right) is None and setting_problem(name, None) is None
+        assert (setting_problem(name, wrong) or "").startswith("expected")
+    assert [limit_problem(text) for text in ("30 mph", " ", None)] == [None] * 3
+    assert (limit_problem("30") or "").startswith("expected a speed with its unit")
 
 
 def test_a_tolerance_is_converted_between_units() -> None:

@@ -331,6 +331,42 @@ def test_the_chart_draws_speeds_unrounded_on_an_axis_that_their_interval_deserve
     assert complaints(tab) == []
 
 
+def test_settings_show_their_default_range_and_unit(console: Console) -> None:
+    """And beside a value that cannot be used, why; nothing is started with one."""
+    root, address, new = console
+    clip = put_clip(root, "settings")
+    tab = new()
+    tab.size(1280, 1100)
+    tab.open(f"{address}/runs?clip=settings")
+    tab.wait_for("Nothing measured yet")
+    tab.run("document.querySelector('.pl-settings .q-item').click()")
+    for hint in (
+        "default: 400; at least 20, at most 1 000 000",
+        "default: 0; at least 0",
+        "default: along their paths",
+        "default: none; above 0 mph",
+        "default: that of the files, if any; above 0, at most 336 mph",
+        "Play it as a live stream (default: no)",
+        "default: mph",
+    ):
+        tab.wait_for(hint)
+    for label, text, problem in (("Particles", "5", "equal to 20"), ("Largest", "0", "expected greater than 0"),
+                                 ("Speed limit", "30", "expected a speed with its unit")):  # fmt: skip
+        tab.run(f"document.querySelector('input[aria-label^=\"{label}\"]').focus()")
+        tab.call("Input.insertText", text=text)
+        tab.wait_for(problem)
+    tab.click("Start")
+    tab.wait_for("particles: expected greater than or equal to 20")
+    assert not (clip / "runs").exists()
+    tab.run("document.querySelector('.q-checkbox').click()")
+    tab.wait_for("default: 30 s; at least 0, at most 3 600 s")
+    tab.run("document.querySelectorAll('.q-select')[1].click()")
+    tab.wait("!!document.querySelector('.q-menu')")
+    tab.run("[...document.querySelectorAll('.q-menu .q-item')].find((e) => e.innerText === 'km/h').click()")
+    tab.wait("document.querySelector('input[aria-label^=Largest]').getAttribute('aria-label').endsWith('km/h')")
+    assert complaints(tab) == []
+
+
 def test_a_search_is_resumed_after_a_reload(console: Console) -> None:
     """One that has ended meanwhile; and what it proposed is a draft like any other."""
     root, address, new = console

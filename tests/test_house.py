@@ -55,7 +55,8 @@ MAY_IMPORT = {
     "simulation.boards": READ | {"calibration"},
     "survey": SEEN | {"detection", "lanes", "speed"},
     "reports": SEEN | MADE,
-    "console": READ | {"reports", "targets", "speed.geometry", "speed.configuration", "speed.choices"},
+    "console": READ
+    | {"reports", "targets", "speed.geometry", "speed.configuration", "speed.choices", "speed.settings_table"},
     "commands": SEEN | MADE | {"reports", "console"},
     "api": SEEN | MADE,
     "cli": GROUND | {"commands"},

@@ -19,8 +19,9 @@ from paceline.console.pages.layout import (
 )
 from paceline.console.pages.live_view import LiveView
 from paceline.console.pages.run_list import RunList
+from paceline.console.pages.settings_form import SettingsForm
 from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN, MEASURING_KINDS, SPEED_RUN
-from paceline.console.runs.options import UNIT_NAMES, command_options, convert_tolerance, setting_range
+from paceline.console.runs.options import UNIT_NAMES, command_options
 from paceline.console.runs.results import result_files
 from paceline.console.runs.run_queue import STATE_MEASURED, STATE_NOTHING, Run
 from paceline.errors import UnusableInput
@@ -28,7 +29,6 @@ from paceline.speed.configuration import DEFAULTS
 
 PAGE_POLL_INTERVAL_S = 0.5  # time between updates of the page
 REMOVED_TEXT = "The clip has been removed."
-TOLERANCE_LABEL = "Largest half-width ±"
 
 
 def add(library: Library) -> None:
@@ -71,7 +71,7 @@ class _RunsPage:
 
     def _add_form(self, entry: ClipEntry) -> None:
         contents = entry.contents
-        self.fields: dict[str, Any] = {}
+        self.settings: SettingsForm | None = None
         with ui.element("div").classes("pl-panel"):
             ui.label("Follow the vehicle ahead" if contents.chase else "Measure the speeds").classes("pl-subtitle")
             if self.library.read_only:
@@ -83,70 +83,27 @@ class _RunsPage:
                     ui.label(text).classes("pl-fact")
                 self.warning = ui.label().classes("pl-reason pl-warning").props('role="status"')
                 self.warning.set_visibility(False)
-                with ui.expansion("Settings").classes("pl-settings").props("dense") as self.settings:
-                    self._add_settings(entry)
+                self.settings = SettingsForm(contents, self.unit, self.change_kind, self.warn)
             if not contents.chase:
-                ui.select(list(UNIT_NAMES), value=self.unit, label="Speeds in", on_change=self.change_unit).props(
-                    "dense"
-                )
+                select = ui.select(list(UNIT_NAMES), value=self.unit, label="Speeds in", on_change=self.change_unit)
+                select.props["hint"] = f"default: {DEFAULTS.report.units}"
+                select.props("dense")
 
-    def _add_settings(self, entry: ClipEntry) -> None:
-        if entry.contents.chase:
-            self.fields["overlay"] = ui.checkbox("Write the video, which takes most of the time", value=True)
-            return
-        minimum, maximum = setting_range("particles")
-        particles = ui.number("Particles", min=minimum, max=maximum, precision=0)
-        particles.props("dense clearable")
-        particles.tooltip("More are slower and give smoother estimates; empty: the default number.")
-        seed = ui.number("Seed", min=setting_range("seed")[0], precision=0).props("dense clearable")
-        seed.tooltip("The same seed gives the same result.")
-        motion = ui.select(
-            {"auto": "along their paths", "free": "freely", "line": "straight", "curve": "on a curve"},
-            value="auto",
-            label="Vehicles move",
-        )
-        tolerance = ui.number(f"{TOLERANCE_LABEL}, {self.unit}", min=0).props("dense clearable")
-        tolerance.tooltip(
-            "Speeds whose 95 % interval is wider than ± this are rejected; empty: the default limits only."
-        )
-        limit = ui.input("Speed limit", placeholder="30 mph").props("dense clearable")
-        limit.tooltip("Posted limit with its unit; empty: that of clip.yaml, of the site or of a path.")
-        self.fields |= {"particles": particles, "seed": seed, "motion": motion.props("dense"), "tolerance": tolerance}
-        self.fields["limit"] = limit
-        if not entry.contents.live:
-            live = ui.checkbox("Play it as a live stream", on_change=self.change_kind)
-            live.tooltip("To try live measurement: vehicle after vehicle, as if the cameras recorded now.")
-        minimum, maximum = setting_range("learn")
-        self.learn = ui.number(
-            "Estimate the background for, s",
-            value=DEFAULTS.background.seconds,
-            min=minimum,
-            max=maximum,
-            on_change=self.warn,
-        ).props("dense")
-        self.learn.set_visibility(self.kind == LIVE_RUN)
-        self.fields["learn"] = self.learn
+    def change_kind(self, live: bool) -> None:
+        self.kind = LIVE_RUN if live else SPEED_RUN
 
-    def change_kind(self, event: Any) -> None:
-        self.kind = LIVE_RUN if event.value else SPEED_RUN
-        self.learn.set_visibility(event.value)
-        self.warn()
-
-    def warn(self) -> None:
+    def warn(self, background_seconds: float | None) -> None:
         """Shows before the start why a run could measure nothing."""
-        self.warning.text = _too_short(self.seconds, self.learn.value) if self.kind == LIVE_RUN else ""
+        self.warning.text = _too_short(self.seconds, background_seconds) if self.kind == LIVE_RUN else ""
         self.warning.set_visibility(bool(self.warning.text))
 
     async def start(self) -> None:
+        assert self.settings is not None, "there is no start button without them"
         if self.warning.text:
             ui.notify(self.warning.text, type="warning", multi_line=True, timeout=10_000)
             return
-        settings: dict[str, Any] = {"units": self.unit}
-        for name, field in self.fields.items():
-            value = field.value
-            settings[name] = int(value) if name in ("particles", "seed") and value is not None else value
         try:
-            options = command_options(self.kind, settings)
+            options = command_options(self.kind, {"units": self.unit, **self.settings.values()})
             started = await run.io_bound(self.library.runs.start, self.clip, self.kind, options)
         except (UnusableInput, NotFound) as error:
             text = REMOVED_TEXT if isinstance(error, NotFound) else self.library.relative_message(error)
@@ -157,10 +114,8 @@ class _RunsPage:
             self.choose(started.number)
 
     def change_unit(self, event: Any) -> None:
-        if tolerance := self.fields.get("tolerance"):
-            tolerance.props["label"] = f"{TOLERANCE_LABEL}, {event.value}"
-            if tolerance.value is not None:
-                tolerance.value = convert_tolerance(tolerance.value, self.unit, event.value)
+        if self.settings is not None:
+            self.settings.change_unit(self.unit, event.value)
         self.unit = event.value
         self.shown_result = None
         self.update()

@@ -9,23 +9,47 @@ from pydantic import ValidationError
 from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN, SPEED_RUN
 from paceline.errors import UnusableInput
 from paceline.speed.choices import Motion
-from paceline.speed.configuration import SpeedSettings
-from paceline.units import SpeedUnit, convert, parse_speed, parse_unit
+from paceline.speed.configuration import BackgroundSettings, SpeedSettings
+from paceline.speed.settings_table import range_of, shown
+from paceline.units import MAX_STATED_SPEED_MPS, SpeedUnit, convert, parse_speed, parse_unit
 
 MOTION_NAMES: tuple[str, ...] = get_args(Motion)
 UNIT_NAMES = tuple(unit.value for unit in SpeedUnit)
 OPTION_NAMES = {"tolerance": "--max-half-width", "learn": "--background-seconds"}  # where a setting is named otherwise
+SETTING_FIELDS = {
+    **{name: SpeedSettings.model_fields[name] for name in ("particles", "seed", "tolerance")},
+    "learn": BackgroundSettings.model_fields["seconds"],
+}
 
 
-def setting_range(name: str) -> tuple[float | None, float | None]:
-    """The least and the greatest value of a numeric setting, None where its model has no such limit."""
-    limits = {
-        kind: value
-        for limit in SpeedSettings.model_fields[name].metadata
-        for kind in ("ge", "le")
-        if (value := getattr(limit, kind, None)) is not None
-    }
-    return limits.get("ge"), limits.get("le")
+def setting_hint(name: str, unit: str = "") -> str:
+    """The default and the range of a setting of SETTING_FIELDS, whose values are in ``unit``."""
+    field, suffix = SETTING_FIELDS[name], f" {unit}" if unit else ""
+    default = "none" if field.default is None else shown(field.default) + suffix
+    return f"default: {default}; {range_of(field)}{suffix}"
+
+
+def limit_hint(unit: str) -> str:
+    """The default and the range of a posted limit, in ``unit``."""
+    return f"default: that of the files, if any; above 0, at most {convert(MAX_STATED_SPEED_MPS, unit):.0f} {unit}"
+
+
+def setting_problem(name: str, value: object) -> str | None:
+    """Why ``value`` cannot be that of a setting; None where it can, or where it is left to the default."""
+    try:
+        _check({} if value is None else {name: value}, strict=False)
+    except UnusableInput as error:
+        return str(error).removeprefix(f"{name}: ")
+    return None
+
+
+def limit_problem(text: str | None) -> str | None:
+    """Why ``text`` states no posted limit; None where it does, or is empty."""
+    try:
+        _parse_limit(text)
+    except UnusableInput as error:
+        return str(error).removeprefix("limit: ")
+    return None
 
 
 def command_options(kind: str, settings: dict[str, Any]) -> list[str]:
@@ -36,20 +60,32 @@ def command_options(kind: str, settings: dict[str, Any]) -> list[str]:
     chosen = {name: settings[name] for name in names if settings.get(name) is not None}
     if chosen.get("units", UNIT_NAMES[0]) not in UNIT_NAMES:
         raise UnusableInput(f"units: expected one of {', '.join(UNIT_NAMES)}")
-    try:  # a tolerance is positive in any unit
-        SpeedSettings.model_validate({name: chosen[name] for name in chosen if name != "units"}, strict=True)
+    _check({name: chosen[name] for name in chosen if name != "units"}, strict=True)
+    if limit := _parse_limit(settings.get("limit")):
+        chosen["limit"] = limit
+    texts = {name: f"{value:g}" if name in ("tolerance", "learn") else str(value) for name, value in chosen.items()}
+    return [argument for name, text in texts.items() for argument in (OPTION_NAMES.get(name, f"--{name}"), text)]
+
+
+def _check(values: dict[str, Any], strict: bool) -> None:
+    """Raises UnusableInput where the settings' model refuses ``values``; a tolerance is positive in any unit."""
+    try:
+        SpeedSettings.model_validate(values, strict=strict)
     except ValidationError as error:
         first = error.errors()[0]
         key, expected = ".".join(map(str, first["loc"])), first["msg"].replace("Input should be", "expected")
         raise UnusableInput(f"{key}: {expected}") from error
-    if limit := str(settings.get("limit") or "").strip():
+
+
+def _parse_limit(text: object) -> str:
+    """A posted limit as it was written; empty where there is none. Raises UnusableInput."""
+    limit = str(text or "").strip()
+    if limit:
         try:
             parse_speed(limit)
         except ValueError as error:
             raise UnusableInput(f"limit: {error}") from error
-        chosen["limit"] = limit
-    texts = {name: f"{value:g}" if name in ("tolerance", "learn") else str(value) for name, value in chosen.items()}
-    return [argument for name, text in texts.items() for argument in (OPTION_NAMES.get(name, f"--{name}"), text)]
+    return limit
 
 
 def convert_tolerance(tolerance: float, before: str, unit: str) -> float:
