@@ -36,11 +36,8 @@ def limit_hint(unit: str) -> str:
 
 def setting_problem(name: str, value: object) -> str | None:
     """Why ``value`` cannot be that of a setting; None where it can, or where it is left to the default."""
-    try:
-        _check({} if value is None else {name: value}, strict=False)
-    except UnusableInput as error:
-        return str(error).removeprefix(f"{name}: ")
-    return None
+    found = _refusal({} if value is None else {name: value}, strict=False)
+    return None if found is None else found[1]
 
 
 def limit_problem(text: str | None) -> str | None:
@@ -60,21 +57,23 @@ def command_options(kind: str, settings: dict[str, Any]) -> list[str]:
     chosen = {name: settings[name] for name in names if settings.get(name) is not None}
     if chosen.get("units", UNIT_NAMES[0]) not in UNIT_NAMES:
         raise UnusableInput(f"units: expected one of {', '.join(UNIT_NAMES)}")
-    _check({name: chosen[name] for name in chosen if name != "units"}, strict=True)
+    # a tolerance is positive in any unit
+    if found := _refusal({name: chosen[name] for name in chosen if name != "units"}, strict=True):
+        raise UnusableInput(": ".join(found))
     if limit := _parse_limit(settings.get("limit")):
         chosen["limit"] = limit
     texts = {name: f"{value:g}" if name in ("tolerance", "learn") else str(value) for name, value in chosen.items()}
     return [argument for name, text in texts.items() for argument in (OPTION_NAMES.get(name, f"--{name}"), text)]
 
 
-def _check(values: dict[str, Any], strict: bool) -> None:
-    """Raises UnusableInput where the settings' model refuses ``values``; a tolerance is positive in any unit."""
+def _refusal(values: dict[str, Any], strict: bool) -> tuple[str, str] | None:
+    """The key that the settings' model refuses, and what it expects; None where it takes all ``values``."""
     try:
         SpeedSettings.model_validate(values, strict=strict)
     except ValidationError as error:
         first = error.errors()[0]
-        key, expected = ".".join(map(str, first["loc"])), first["msg"].replace("Input should be", "expected")
-        raise UnusableInput(f"{key}: {expected}") from error
+        return ".".join(map(str, first["loc"])), first["msg"].replace("Input should be", "expected")
+    return None
 
 
 def _parse_limit(text: object) -> str:
