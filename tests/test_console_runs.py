@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from tiny_clips import copy_of, put_clip
 
 from paceline.console import library as library_module
 from paceline.console.library import Library
+from paceline.console.pages.layout import progress_text
 from paceline.console.runs import run_queue as runs_module
 from paceline.console.runs.inputs import copy_documents
 from paceline.console.runs.results import compare_summaries, read_series, read_summary, vehicle_rows
@@ -27,6 +29,7 @@ from paceline.console.runs.run_queue import Run, RunQueue
 from paceline.documents.loading import load_clip
 from paceline.errors import UnusableInput
 from paceline.progress import PROGRESS_VARIABLE, format_progress, parse_progress
+from paceline.survey.recording import measure_clip
 
 FAST = ["--particles", "20", "--motion", "line"]
 
@@ -98,7 +101,7 @@ def test_runs_are_queued_read_and_cancelled(library: Library) -> None:
     library.runs.cancel("road", 2)
     second = ended(library, 2)
     assert (first.state, second.state) == ("measured", "cancelled") and library.entry("road").state == "measured"
-    assert first.done == first.total == 5 and first.ended is not None
+    assert first.done == first.total == 1 and first.ended is not None
     assert second.started is not None and second.started >= first.ended
     assert [p.name for p in library.runs.folder(second).iterdir() if p.name.startswith(("out", "."))] == []
 
@@ -183,6 +186,7 @@ SERVING = """
 import sys, time
 from pathlib import Path
 from paceline.console.library import Library
+from paceline.console.pages.layout import progress_text
 library = Library(Path(sys.argv[1]))
 library.runs.start("road", "speed", sys.argv[2:])
 while not library.runs.get("road", 1).done:
@@ -339,9 +343,10 @@ def test_results_are_not_read_through_links(library: Library, tmp_path: Path) ->
 
 
 def test_the_remaining_time_is_extrapolated() -> None:
-    run = Run("c", 1, "speed", (), "running", 0.0, started=5.0, done=3, total=11, first=20.0)
+    run = Run("c", 1, "speed", (), "running", 0.0, done=3, total=11, first=20.0, first_done=1, latest=24.0)
     assert run.seconds_left(24.0) == pytest.approx(16.0)  # two frames took 4 s, eight are left
-    assert Run("c", 1, "speed", (), "running", 0.0, done=1, total=11, first=20.0).seconds_left(24.0) is None
+    assert run.seconds_left(30.0) == pytest.approx(10.0) and run.seconds_left(41.0) is None  # longer than expected
+    assert replace(run, done=1).seconds_left(24.0) is None and replace(run, total=None).seconds_left(24.0) is None
 
 
 def test_progress_lines_are_parsed_as_formatted() -> None:
@@ -349,6 +354,47 @@ def test_progress_lines_are_parsed_as_formatted() -> None:
     assert parse_progress(format_progress("averaging", 3, None)) == ("averaging", 3, None)
     for line in ("", "note: measuring 3 of 12", "progress: measuring x 12", "progress: measuring 3 12 4"):
         assert parse_progress(line) is None
+
+
+def test_a_run_goes_through_named_stages_each_with_its_share(
+    small_clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Down to the report: none of them ends long before the next one is named."""
+    monkeypatch.setenv(PROGRESS_VARIABLE, "lines")
+    done = paceline("speed", small_clip, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    lines = [found for line in done.stderr.splitlines() if (found := parse_progress(line)) is not None]
+    stages = list(dict.fromkeys(activity for activity, *_ in lines))
+    assert stages == ["estimating", "measuring", "refining", "drawing", "writing"]
+    shares = {stage: [(count, total) for activity, count, total in lines if activity == stage] for stage in stages}
+    assert shares["measuring"] == [(k, 7) for k in range(1, 8)]
+    assert shares["refining"] == shares["writing"] == [(0, 1), (1, 1)]
+    assert shares["drawing"] == [(k, 7) for k in range(8)]
+
+
+def test_progress_is_described_by_its_stage() -> None:
+    run = Run("c", 1, "speed", (), "running", 0.0)
+    assert progress_text(run) == "starting"
+    for activity, count, total, text in (
+        ("measuring", 12, 50, "tracking vehicles: 12 of 50 frames"),
+        ("refining", 1, 2, "refining the speeds: 1 of 2 vehicles"),
+        ("following", 7, None, "following the vehicle: 7 frames"),
+        ("writing", 0, None, "writing the report"),
+        ("writing", 2, 3, "writing the report: 2 of 3 parts"),
+    ):
+        assert progress_text(replace(run, doing=activity, done=count, total=total, first_done=count)) == text
+    timed = replace(run, doing="drawing", done=3, total=5, first=0.0, first_done=1, latest=time.time())
+    assert progress_text(replace(timed, first=time.time() - 60)).endswith("3 of 5 frames, about 1 min 0 s left")
+    live = replace(run, kind="live", doing="learning", done=12, total=30, first_done=12, started=time.time() - 5)
+    assert progress_text(live) == "estimating background: 12 of 30 s"
+    assert progress_text(replace(live, doing="measuring", done=0, total=None)) == "running for 5 s"
+
+
+def test_a_callback_is_told_of_frames_alone(small_clip: Path) -> None:
+    """Of those that are tracked, not of other stages."""
+    calls: list[tuple[int, int | None]] = []
+    measure_clip(small_clip, progress=lambda *call: calls.append(call))
+    assert calls == [(k, 7) for k in range(1, 8)]
 
 
 def test_the_command_writes_progress_lines_on_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

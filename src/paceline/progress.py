@@ -9,13 +9,17 @@ import base64
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from paceline.arrays import Array
 
-Progress = Callable[[int, int | None], None]  # called with frames done and the total, None where it is unknown
+Item = TypeVar("Item")
+Progress = Callable[[int, int | None], None]  # called with what is done and the total, None where it is unknown
+# From the next activity of ACTIVITY_LABELS to a context that yields its progress callback.
+Stage = Callable[[str], AbstractContextManager[Progress | None]]
 
 PROGRESS_VARIABLE = "PACELINE_PROGRESS"  # environment variable; "lines" requests the lines
 ESTIMATE_PREFIX, PICTURES_PREFIX = "estimate: ", "pictures: "
@@ -27,16 +31,51 @@ ACTIVITY_LABELS = {
     "looking": "detecting vehicles",
     "averaging": "estimating background",
     "learning": "estimating background",
+    "measuring": "tracking vehicles",
+    "refining": "refining the speeds",
+    "following": "following the vehicle",
+    "drawing": "drawing the pictures",
+    "writing": "writing the report",
 }
+ACTIVITY_UNITS = {"refining": "vehicles", "writing": "parts", "learning": "s"}  # what is counted; frames in others
+FRAME_ACTIVITIES = ("looking", "measuring", "following")  # that go through the frames for a result
+
+
+def no_stage(activity: str) -> AbstractContextManager[Progress | None]:
+    """Stages of which nobody is told."""
+    return nullcontext()
+
+
+def frame_stage(progress: Progress | None) -> Stage:
+    """Stages of which those in FRAME_ACTIVITIES call ``progress``, with frames done and frames in all."""
+    return lambda activity: nullcontext(progress if activity in FRAME_ACTIVITIES else None)
+
+
+def with_progress(items: Iterable[Item], total: int, progress: Progress | None) -> Iterator[Item]:
+    """The ``items``, ``total`` in number, while ``progress`` is called with how many are done."""
+    for count, item in enumerate(items):
+        if progress is not None:
+            progress(count, total)
+        yield item
+    if progress is not None:
+        progress(total, total)
+
+
+def describe_progress(activity: str, done: int, total: int | None) -> str:
+    """The progress of an ``activity`` in words, for example ``tracking vehicles: 12 of 50 frames``."""
+    label, unit = ACTIVITY_LABELS.get(activity, activity), ACTIVITY_UNITS.get(activity, "frames")
+    if total is None and not done:
+        return label
+    return f"{label}: {done} {unit}" if total is None else f"{label}: {done} of {total} {unit}"
 
 
 def format_progress(activity: str, done: int, total: int | None) -> str:
-    """The progress line for an activity with ``done`` of ``total`` frames processed."""
+    """The progress line for an activity with ``done`` of ``total`` frames processed, or of its ACTIVITY_UNITS."""
     return f"progress: {activity} {done} {total or '?'}"
 
 
 def parse_progress(line: str) -> tuple[str, int, int | None] | None:
-    """The activity, frames done and total (None if unknown) of a progress line; None for any other line."""
+    """The activity, what is done and the total (None if unknown) of a progress line; None for any other line."""
     match = re.fullmatch(r"progress: (\S+) (\d+) (\d+|\?)\n?", line)
     return None if match is None else (match[1], int(match[2]), None if match[3] == "?" else int(match[3]))
 

@@ -4,7 +4,7 @@ constraint, and no fit of the whole track follows."""
 from __future__ import annotations
 
 from paceline.documents.loading import Clip
-from paceline.progress import Progress
+from paceline.progress import Stage, no_stage
 from paceline.recordings.stereo import StereoFrames
 from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import SpeedConfiguration
@@ -22,12 +22,12 @@ def measure_as_printed(
     clip: Clip,
     recording: StereoFrames,
     configuration: SpeedConfiguration,
-    progress: Progress | None = None,
+    stage: Stage = no_stage,
     device: DeviceName = "cpu",
     on_estimate: OnEstimate | None = None,
 ) -> ClipResult:
     """Measure every vehicle of ``clip`` by the filter as printed. Raises UnusableInput and DeviceFailure."""
-    return measure(clip, recording, as_printed(configuration), progress, device, on_estimate)
+    return measure(clip, recording, as_printed(configuration), stage, device, on_estimate)
 
 
 register("zhu", Method(measure_as_printed, uses_gpu=True))

@@ -47,9 +47,18 @@ def follow_vehicle(
     configuration = FollowConfiguration(steering=steering)
     with OutputFolder(out) as folder:
         recording = open_camera(document)
-        with progress_bar("following", sys.stderr.isatty() and not quiet) as advance, _ended(recording):
+        show_progress = sys.stderr.isatty() and not quiet
+        with _ended(recording):
             on_frame = range_line_writer(document.target.name, recording.live)
-            result, tally = write_follow_files(document, recording, folder, configuration, overlay, advance, on_frame)
+            result, tally = write_follow_files(
+                document,
+                recording,
+                folder,
+                configuration,
+                overlay,
+                lambda activity: progress_bar(activity, show_progress),
+                on_frame,
+            )
     if not quiet:
         _print_follow(result, tally)
         print(f"\nReport: {out / 'report.html'}")

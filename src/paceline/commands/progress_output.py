@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from paceline.progress import (
     ACTIVITY_LABELS,
+    ACTIVITY_UNITS,
     PROGRESS_VARIABLE,
     Progress,
     format_estimate,
@@ -126,7 +127,7 @@ def _write_line(line: str) -> None:
 
 @contextmanager
 def progress_bar(activity: str, show: bool) -> Iterator[Progress | None]:
-    """A progress bar on standard error; yields what advances it, called with frames done and the total if known.
+    """A progress bar on standard error; yields what advances it, called with what is done and the total if known.
 
     A program that requests lines gets progress lines instead; when it stops reading them, the command ends.
     """
@@ -150,10 +151,10 @@ def progress_bar(activity: str, show: bool) -> Iterator[Progress | None]:
 
     class Rate(ProgressColumn):
         def render(self, task: Task) -> Text:
-            return Text(f"{task.speed:.1f} frames/s" if task.speed else "")
+            return Text(f"{task.speed:.1f} {unit}/s" if task.speed else "")
 
-    label = ACTIVITY_LABELS.get(activity, activity)
-    columns = [TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), Rate()]
+    label, unit = ACTIVITY_LABELS.get(activity, activity), ACTIVITY_UNITS.get(activity, "frames")
+    columns = [TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn(unit), Rate()]
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)

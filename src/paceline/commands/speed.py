@@ -15,6 +15,9 @@ from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 from paceline.speed.choices import DeviceName, Motion
 
 if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once
+    from contextlib import AbstractContextManager
+
+    from paceline.progress import Progress
     from paceline.speed.configuration import SpeedSettings
     from paceline.speed.results import ClipResult
     from paceline.units import SpeedUnit
@@ -143,6 +146,10 @@ def _measure(
         raise UnusableInput(f"{document.path}: vehicles: --detector is to find them; expected none")
     with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is reported at once
         recording, show_progress = open_recording(document), sys.stderr.isatty() and not quiet
+
+        def stage(activity: str) -> AbstractContextManager[Progress | None]:
+            return progress_bar(activity, show_progress)
+
         result = measure_recording(
             document,
             recording,
@@ -150,10 +157,10 @@ def _measure(
             settings.method,
             settings.device,
             None if detector is None else OnnxDetector(detector, settings.detection.score),
-            stage=lambda activity: progress_bar(activity, show_progress),
+            stage,
             on_estimate=speed_line_writer(document.rig),
         )
-        return write_files(result, recording, folder, settings.report.units, settings.report.overlay)
+        return write_files(result, recording, folder, settings.report.units, settings.report.overlay, stage)
 
 
 def _measure_live(

@@ -15,7 +15,7 @@ from paceline.blas import on_one_blas_thread
 from paceline.cameras import StereoRig
 from paceline.documents.loading import Clip, VehicleDocument, load_clip
 from paceline.errors import UnusableInput
-from paceline.progress import Progress
+from paceline.progress import Progress, Stage, no_stage, with_progress
 from paceline.recordings.stereo import StereoFrame, StereoFrames, open_recording
 from paceline.speed import acceptance, methods
 from paceline.speed.choices import DeviceName
@@ -51,18 +51,18 @@ def measure(
     clip: Clip,
     recording: StereoFrames,
     configuration: SpeedConfiguration,
-    progress: Progress | None = None,
+    stage: Stage = no_stage,
     device: DeviceName = "cpu",
     on_estimate: OnEstimate | None = None,
 ) -> ClipResult:
     """Measure every vehicle of ``clip`` in one pass over its ``recording``.
 
-    ``progress`` is called with frames done and frames in all, ``on_estimate`` with a vehicle and each of the filter's
-    estimates. Raises UnusableInput; a DeviceFailure where ``device`` is ``cuda`` and fails.
+    ``on_estimate`` is called with a vehicle and each of the filter's estimates. Raises UnusableInput; a DeviceFailure
+    where ``device`` is ``cuda`` and fails.
     """
     batch = TrackerBatch(open_device(device), fall_back_to_cpu=device == "auto")
     begin = partial(VehicleMeasurement, batch=batch, on_estimate=on_estimate)
-    result = measure_each(clip, recording, configuration, begin, progress)
+    result = measure_each(clip, recording, configuration, begin, stage)
     exposures = estimate_exposures(result.measurements)
     jointly = calibrate_jointly(result.measurements, configuration)
     measurements = [acceptance.apply_tolerance(m, configuration.tolerance) for m in jointly]
@@ -124,7 +124,7 @@ def measure_each(
     recording: StereoFrames,
     configuration: SpeedConfiguration,
     begin: Callable[[Clip, VehicleDocument, dict[str, Path], SpeedConfiguration], VehicleProcessor],
-    progress: Progress | None = None,
+    stage: Stage = no_stage,
     *,
     on_paths: bool = True,
 ) -> ClipResult:
@@ -141,19 +141,13 @@ def measure_each(
     drawn, undetermined = _reconstruct(clip, configuration) if on_paths else ({}, [])
     runs = {v.id: begin(clip, v, drawn, configuration) for v in clip.vehicles}
     finished: dict[str, Measurement] = {}
-    total = len(recording)
-    for count, frame in enumerate(recording.frames(), start=1):
-        if count == 1:
-            require_two_views(clip, frame)
-        for vehicle in clip.vehicles:
-            run = runs.get(vehicle.id)
-            if run is not None and frame.index >= vehicle.frame and not frame.duplicate and not run.process(frame):
-                finished[vehicle.id] = runs.pop(vehicle.id).result()
-        if progress is not None:
-            progress(count, total)
-        if not runs:
-            break
-    finished |= {name: run.result() for name, run in runs.items()}
+    frames = enumerate(recording.frames(), start=1)
+    while runs:
+        with stage("measuring") as progress:
+            ended = _track_until_one_ends(clip, runs, frames, len(recording), progress)
+        with stage("refining") as progress:
+            for name in with_progress(ended, len(ended), progress):
+                finished[name] = runs.pop(name).result()
     return ClipResult(
         clip=str(clip.path),
         measurements=[finished[v.id] for v in clip.vehicles],
@@ -163,6 +157,33 @@ def measure_each(
         notices=[*undetermined, *recording.notices],
         seconds=time.perf_counter() - start_time,
     )
+
+
+def _track_until_one_ends(
+    clip: Clip,
+    runs: dict[str, VehicleProcessor],
+    frames: Iterator[tuple[int, StereoFrame]],
+    total: int,
+    progress: Progress | None,
+) -> list[str]:
+    """Tracks the vehicles of ``runs`` through the ``frames``, counted from 1 to ``total``, to one in which a track
+    ends; returns the vehicles whose tracks end there, which are all at the end of the recording."""
+    for count, frame in frames:
+        if count == 1:
+            require_two_views(clip, frame)
+        ended = [
+            vehicle.id
+            for vehicle in clip.vehicles
+            if (run := runs.get(vehicle.id)) is not None
+            and frame.index >= vehicle.frame
+            and not frame.duplicate
+            and not run.process(frame)
+        ]
+        if progress is not None:
+            progress(count, total)
+        if ended:
+            return ended
+    return list(runs)
 
 
 def by_vehicle(
@@ -180,7 +201,7 @@ def by_vehicle(
         clip: Clip,
         recording: StereoFrames,
         configuration: SpeedConfiguration,
-        progress: Progress | None,
+        stage: Stage,
         device: DeviceName,
         on_estimate: OnEstimate | None,
     ) -> ClipResult:
@@ -189,7 +210,7 @@ def by_vehicle(
         ) -> VehicleProcessor:
             return begin(clip, vehicle, drawn.get(vehicle.path or ""), c)
 
-        result = measure_each(clip, recording, configuration, begin_on, progress, on_paths=on_paths)
+        result = measure_each(clip, recording, configuration, begin_on, stage, on_paths=on_paths)
         return replace(
             result, measurements=[acceptance.apply_tolerance(m, configuration.tolerance) for m in result.measurements]
         )

@@ -17,7 +17,7 @@ from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
 from paceline.imaging.frame_times import FrameTimes
 from paceline.imaging.recorded_cameras import RecordedCameras, estimate_cameras
-from paceline.progress import Progress
+from paceline.progress import Progress, Stage, frame_stage, no_stage
 from paceline.recordings.stereo import StereoFrames, StereoRecording
 from paceline.speed.choices import DeviceName
 from paceline.speed.configuration import SpeedConfiguration
@@ -30,15 +30,14 @@ ENTRY_POINT_GROUP = "paceline.methods"  # group of the entry points
 DEFAULT_METHOD = "paceline"
 
 OnEstimate = Callable[[str, Estimate], None]  # called with a vehicle's id and each estimate as it is made
-MeasureClip = Callable[
-    [Clip, StereoFrames, SpeedConfiguration, Progress | None, DeviceName, OnEstimate | None], ClipResult
-]
+MeasureClip = Callable[[Clip, StereoFrames, SpeedConfiguration, Stage, DeviceName, OnEstimate | None], ClipResult]
 
 
 @dataclass(frozen=True)
 class Method:
-    """How to measure all vehicles of a clip; ``measure`` raises UnusableInput. A method without ``uses_gpu`` is only
-    ever called with the device ``cpu`` or ``auto``."""
+    """How to measure all vehicles of a clip; ``measure`` raises UnusableInput, and reports its progress in the stages
+    ``measuring``, by frames, and ``refining``, by vehicles. A method without ``uses_gpu`` is only ever called with the
+    device ``cpu`` or ``auto``."""
 
     measure: MeasureClip
     uses_gpu: bool = False
@@ -108,20 +107,20 @@ def measure(
     ``progress`` is called with frames done and frames in all. Raises UnusableInput.
     """
     cameras = estimate_cameras(clip, recording)
-    return measure_as_seen(cameras, method, configuration, progress, device, on_estimate)
+    return measure_as_seen(cameras, method, configuration, frame_stage(progress), device, on_estimate)
 
 
 def measure_as_seen(
     cameras: RecordedCameras,
     method: str,
     configuration: SpeedConfiguration,
-    progress: Progress | None = None,
+    stage: Stage = no_stage,
     device: DeviceName = "cpu",
     on_estimate: OnEstimate | None = None,
 ) -> ClipResult:
     """As `measure`, of cameras that were estimated before."""
     chosen = method_named(method, device)
-    result = chosen.measure(cameras.clip, cameras.recording, configuration, progress, device, on_estimate)
+    result = chosen.measure(cameras.clip, cameras.recording, configuration, stage, device, on_estimate)
     measurements = [
         replace(
             m,

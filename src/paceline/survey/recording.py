@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from paceline.detection.search import find_vehicles
 from paceline.documents.loading import Clip, load_clip
 from paceline.errors import UnusableInput
 from paceline.imaging.recorded_cameras import RecordedCameras, estimate_cameras
-from paceline.progress import Progress
+from paceline.progress import Progress, Stage, frame_stage, no_stage
 from paceline.recordings.stereo import StereoRecording, open_recording
 from paceline.speed import methods
 from paceline.speed.choices import DeviceName
@@ -21,9 +19,6 @@ from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.methods import DEFAULT_METHOD, OnEstimate
 from paceline.speed.results import ClipResult
 from paceline.version import versions
-
-# From the next activity, "estimating", "looking" or "measuring", to a context that yields its progress callback.
-Stage = Callable[[str], AbstractContextManager[Progress | None]]
 
 
 def measure_clip(
@@ -47,7 +42,7 @@ def measure_clip(
         method,
         device,
         detect,
-        stage=lambda activity: nullcontext(None if activity == "estimating" else progress),
+        stage=frame_stage(progress),
     )
 
 
@@ -58,7 +53,7 @@ def measure_recording(
     method: str = DEFAULT_METHOD,
     device: DeviceName = "cpu",
     detect: DetectBoxes | None = None,
-    stage: Stage = lambda activity: nullcontext(),
+    stage: Stage = no_stage,
     on_estimate: OnEstimate | None = None,
 ) -> ClipResult:
     """As `measure_clip`, in the ``recording`` of ``clip``; ``on_estimate`` is called with a vehicle and each of the
@@ -70,8 +65,7 @@ def measure_recording(
         cameras = estimate_cameras(clip, recording, progress)
 
     def measured(cameras: RecordedCameras) -> ClipResult:
-        with stage("measuring") as progress:
-            return methods.measure_as_seen(cameras, method, configuration, progress, device, on_estimate)
+        return methods.measure_as_seen(cameras, method, configuration, stage, device, on_estimate)
 
     if clip.vehicles:
         return measured(cameras)

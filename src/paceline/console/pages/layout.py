@@ -10,7 +10,7 @@ from urllib.parse import quote
 from nicegui import ui
 
 from paceline.console.library import ClipEntry
-from paceline.console.runs.kinds import FOLLOW_RUN, LIVE_RUN
+from paceline.console.runs.kinds import LIVE_RUN
 from paceline.console.runs.run_queue import (
     STATE_FAILED,
     STATE_INTERRUPTED,
@@ -20,7 +20,7 @@ from paceline.console.runs.run_queue import (
     STATE_WAITING,
     Run,
 )
-from paceline.progress import ACTIVITY_LABELS
+from paceline.progress import describe_progress
 
 STYLESHEET_LINK = '<link rel="stylesheet" href="/static/console.css">'
 ACCENT_COLOR = "#2f7ac4"
@@ -111,15 +111,10 @@ def progress_text(run: Run) -> str:
         return "waiting for the previous run"
     if run.state != STATE_RUNNING:
         return ""
-    if run.kind == LIVE_RUN and run.doing == BACKGROUND_ACTIVITY:
-        return f"{ACTIVITY_LABELS[BACKGROUND_ACTIVITY]}, {run.done} of {run.total} s"
-    if run.kind == LIVE_RUN and run.started is not None:
+    if run.kind == LIVE_RUN and run.doing != BACKGROUND_ACTIVITY and run.started is not None:
         return f"running for {format_duration(time.time() - run.started)}"
-    if run.done == 0:
+    if not run.doing:
         return "starting"
-    if run.done == run.total and run.doing == ("following" if run.kind == FOLLOW_RUN else "measuring"):
-        return "writing the report"
-    activity = f"{ACTIVITY_LABELS[run.doing]}: " if run.doing in PREPARING_ACTIVITIES else ""
-    frames = f"frame {run.done}" + ("" if run.total is None else f" of {run.total}")
     left = run.seconds_left(time.time())
-    return activity + frames + ("" if left is None else f", about {format_duration(left)} left")
+    text = describe_progress(run.doing, run.done, run.total)
+    return text if left is None else f"{text}, about {format_duration(left)} left"

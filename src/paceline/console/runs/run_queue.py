@@ -61,17 +61,22 @@ class Run:
     doing: str = ""  # the activity of the latest progress line
     done: int = 0
     total: int | None = None
-    first: float | None = None  # when the first frame of the activity was done: the start-up before it is not counted
+    first: float | None = None  # when the first progress line of the activity came: the start-up is not counted
+    first_done: int = 0  # what was done then
+    latest: float | None = None  # when the latest progress line came
 
     @property
     def active(self) -> bool:
         return self.state in (STATE_WAITING, STATE_RUNNING)
 
     def seconds_left(self, now: float) -> float | None:
-        """The remaining seconds, extrapolated from the frames done; None if they cannot be known yet."""
-        if self.state != STATE_RUNNING or self.first is None or self.total is None or self.done < 2:
+        """The remaining seconds of the activity, extrapolated from what is done; None if unknown or over."""
+        if self.state != STATE_RUNNING or self.total is None or self.done <= self.first_done:
             return None
-        return (now - self.first) / (self.done - 1) * (self.total - self.done)
+        assert self.first is not None and self.latest is not None, "both are set by every progress line"
+        step = (self.latest - self.first) / (self.done - self.first_done)
+        left = step * (self.total - self.done) - (now - self.latest)
+        return left if left > 0 else None
 
 
 RUN_ADAPTER = TypeAdapter(Run)
@@ -323,8 +328,10 @@ class RunQueue:
                 with self._lock:
                     self._progress[key].finish_frame()
                     run, (activity, done, total) = self._active[key], progress
-                    first = run.first if run.first and run.doing == activity else time.time()
-                    self._active[key] = replace(run, doing=activity, done=done, total=total, first=first)
+                    now = time.time()
+                    if run.doing != activity or done < run.done:  # it begins, also anew
+                        run = replace(run, first=now, first_done=done)
+                    self._active[key] = replace(run, doing=activity, done=done, total=total, latest=now)
         return [message for message in messages if message]
 
     def _end(self, run: Run) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -11,6 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from paceline.arrays import Array
 from paceline.follow.results import FollowResult
+from paceline.progress import Progress, with_progress
 from paceline.reports.common.plots import (
     FILTER_COLOR,
     INK_COLOR,
@@ -26,20 +28,19 @@ WIDE_FIGURE_IN, HALF_FIGURE_IN = (9.4, 3.5), (4.6, 3.0)
 STATUS_COLORS = {"coasting": INTERVAL_COLOR, "lost": MUTED_COLOR}
 
 
-def follow_plots(result: FollowResult) -> list[Plot]:
-    """The plots of a run; frames in which the target was not tracked are left out and shaded."""
+def follow_plots(result: FollowResult, progress: Progress | None = None) -> list[Plot]:
+    """The plots of a run; frames in which the target was not tracked are left out and shaded. ``progress`` is called
+    with the number of plots."""
+    plots = (
+        ("range", "Distance to the vehicle ahead over time", WIDE_FIGURE_IN, _draw_range),
+        ("bearing", "Bearing and steering angle over time", HALF_FIGURE_IN, _draw_bearing),
+        ("confidence", "Confidence of the fit over time", HALF_FIGURE_IN, _draw_confidence),
+        ("residual", "Residual of the model's lines over time", HALF_FIGURE_IN, _draw_residual),
+        ("latency", "Processing time of each frame", HALF_FIGURE_IN, _draw_latency),
+    )
     return [
-        make_plot("range", "Distance to the vehicle ahead over time", WIDE_FIGURE_IN, lambda f: _draw_range(f, result)),
-        make_plot(
-            "bearing", "Bearing and steering angle over time", HALF_FIGURE_IN, lambda f: _draw_bearing(f, result)
-        ),
-        make_plot(
-            "confidence", "Confidence of the fit over time", HALF_FIGURE_IN, lambda f: _draw_confidence(f, result)
-        ),
-        make_plot(
-            "residual", "Residual of the model's lines over time", HALF_FIGURE_IN, lambda f: _draw_residual(f, result)
-        ),
-        make_plot("latency", "Processing time of each frame", HALF_FIGURE_IN, lambda f: _draw_latency(f, result)),
+        make_plot(name, description, size, partial(draw, result=result))
+        for name, description, size, draw in with_progress(plots, len(plots), progress)
     ]
 
 

@@ -17,7 +17,7 @@ from paceline.follow.configuration import FollowConfiguration
 from paceline.follow.following import follow, result_of
 from paceline.follow.history import History, Tally
 from paceline.follow.results import FollowEstimate, FollowResult
-from paceline.progress import Progress
+from paceline.progress import Progress, Stage, frame_stage, no_stage
 from paceline.recordings.monocular import CameraFrame, CameraRecording, open_camera
 from paceline.reports.common.output_folder import OutputFolder
 from paceline.reports.common.video import VideoWriter
@@ -44,7 +44,7 @@ def follow_and_report(
     A live source needs a single pass, so that measuring and writing go together. Raises UnusableInput.
     """
     with OutputFolder(out) as folder:
-        return write_follow_files(clip, open_camera(clip), folder, configuration, overlay, progress)[0]
+        return write_follow_files(clip, open_camera(clip), folder, configuration, overlay, frame_stage(progress))[0]
 
 
 def write_follow_files(
@@ -53,14 +53,15 @@ def write_follow_files(
     folder: Path,
     configuration: FollowConfiguration | None = None,
     overlay: bool = True,
-    progress: Progress | None = None,
+    stage: Stage = no_stage,
     on_frame: Callable[[CameraFrame, FollowEstimate], None] | None = None,
 ) -> tuple[FollowResult, Tally]:
-    """As `follow_and_report`, straight into an existing ``folder``; ``on_frame`` is called with every frame and its
-    estimate as it is made. Memory does not grow with the recording."""
+    """As `follow_and_report`, straight into an existing ``folder``, in the stages ``following`` and ``writing``;
+    ``on_frame`` is called with every frame and its estimate as it is made. Memory does not grow with the recording."""
     begun = time.perf_counter()
     history, stills = History(), StillSelection()
     with ExitStack() as stack:
+        progress = stack.enter_context(stage("following"))
         table = stack.enter_context(TrackTable(folder / "track.csv"))
         video = stack.enter_context(_open_video(folder, clip, recording)) if overlay else None
         seen: NDArray[np.uint8] = np.zeros(clip.camera.image_size[::-1], np.uint8)
@@ -80,7 +81,8 @@ def write_follow_files(
     if video is not None:
         result = replace(result, notices=result.notices + video.notices)
     write_summary(result, tally, folder / "summary.json")
-    plots = follow_plots(result)
+    with stage("writing") as progress:
+        plots = follow_plots(result, progress)
     (folder / "plots").mkdir()
     for plot in plots:
         (folder / "plots" / f"{plot.name}.png").write_bytes(plot.png)

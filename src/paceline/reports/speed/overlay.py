@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, to_8_bit
 from paceline.number_format import NO_VALUE
+from paceline.progress import Progress, with_progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 from paceline.reports.common.drawing import (
     DARK_BGR,
@@ -78,7 +79,12 @@ class Overlay:
 
 
 def write_overlay(
-    result: ClipResult, recording: StereoRecording, file: Path | None, unit: str, colors: dict[str, str]
+    result: ClipResult,
+    recording: StereoRecording,
+    file: Path | None,
+    unit: str,
+    colors: dict[str, str],
+    progress: Progress | None = None,
 ) -> Overlay:
     """Writes the overlay video in one pass over ``recording``, unless ``file`` is None, and returns a few stills of
     every vehicle.
@@ -91,7 +97,7 @@ def write_overlay(
     last_still = max((int(layer.track.frame[row]) for layer in layers for row in layer.still_rows), default=-1)
     recording = recording.with_lag(result.lag) if result.lag else recording
     with nullcontext() if file is None else _video(file, np.asarray(recording.times, float)) as video:
-        for frame in recording:
+        for frame in with_progress(recording, len(recording), progress):
             if video is None and frame.index > last_still:
                 break
             views = to_8_bit(frame.left), to_8_bit(frame.right)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from paceline.progress import Stage, no_stage, with_progress
 from paceline.recordings.stereo import StereoRecording
 from paceline.reports.common.output_folder import OutputFolder
 from paceline.reports.common.plots import VEHICLE_COLORS
@@ -43,11 +44,18 @@ def write_report(
 
 
 def write_files(
-    result: ClipResult, recording: StereoRecording, folder: Path, unit: str, overlay: bool = True
+    result: ClipResult,
+    recording: StereoRecording,
+    folder: Path,
+    unit: str,
+    overlay: bool = True,
+    stage: Stage = no_stage,
 ) -> ClipResult:
-    """As `write_report`, straight into an existing ``folder``."""
+    """As `write_report`, straight into an existing ``folder``, in the stages ``drawing`` and ``writing``."""
     colors = {m.vehicle: VEHICLE_COLORS[i % len(VEHICLE_COLORS)] for i, m in enumerate(result.measurements)}
-    drawn = write_overlay(result, recording, folder / "overlay.mp4" if overlay else None, unit, colors)
+    video = folder / "overlay.mp4" if overlay else None
+    with stage("drawing") as progress:
+        drawn = write_overlay(result, recording, video, unit, colors, progress)
     result = dataclasses.replace(result, notices=result.notices + drawn.notices)
     write_estimates(result, folder / "estimates.csv")
     stems = dict(zip(colors, _file_stems(list(colors)), strict=True))
@@ -57,7 +65,9 @@ def write_files(
     write_vehicles(entries, folder / "vehicles.csv")
 
     plan = plan_plot(result, colors)
-    plots = {m.vehicle: vehicle_plots(m, unit, colors[m.vehicle]) for m in result.measurements}
+    with stage("writing") as progress:
+        measurements = with_progress(result.measurements, len(result.measurements), progress)
+        plots = {m.vehicle: vehicle_plots(m, unit, colors[m.vehicle]) for m in measurements}
     (folder / "plots").mkdir(exist_ok=True)
     (folder / "plots" / "plan.png").write_bytes(plan.png)
     for vehicle, drawings in plots.items():
