@@ -35,9 +35,11 @@ from paceline.reports.common.formatting import (
     rejected_advice,
     speed_at,
 )
+from paceline.reports.common.plots import VEHICLE_COLORS, lane_color
 from paceline.reports.common.video import VideoWriter
 from paceline.reports.speed.cameras import camera_rows
 from paceline.reports.speed.overlay import format_label
+from paceline.reports.speed.plots import plan_plot
 from paceline.speed.results import ClipResult, Measurement, PathDrawing, Track
 from paceline.units import COVERAGE_95
 from paceline.verdicts import message
@@ -294,6 +296,26 @@ def test_without_an_overlay_the_report_has_its_stills_and_no_link(out: Path, tmp
     assert page.count('src="data:image/jpeg') == with_video.count('src="data:image/jpeg') > 0
     jpeg = base64.b64encode((out / "pictures" / "v1.jpg").read_bytes()).decode()
     assert page.count(jpeg) >= 2  # on the card and among the stills
+
+
+def test_lanes_have_the_same_colours_in_the_plan_the_overlay_and_the_text(tmp_path: Path) -> None:
+    """Each its own, and none that of a vehicle."""
+    result = clip_result()
+    (path,) = result.paths
+    lower = replace(path, name="lane1", left=path.left + [0, 30], right=path.right + [0, 30])
+    result = replace(result, paths=[path, lower], measurements=result.measurements[:1])
+    write_report(result, Recording(), tmp_path / "out", "mph")
+    page = (tmp_path / "out" / "report.html").read_text()
+    plan = plan_plot(result, {"v0": VEHICLE_COLORS[0]})
+    with av.open(str(tmp_path / "out" / "overlay.mp4")) as container:
+        picture = next(container.decode(video=0)).to_ndarray(format="bgr24").astype(float)
+    for i, lane in enumerate(result.paths):
+        color = lane_color(i)
+        assert color not in VEHICLE_COLORS and color in plan.svg
+        assert f'style="background: {color}"></span>Path {lane.name}' in page
+        bgr = [int(color[k : k + 2], 16) for k in (5, 3, 1)]
+        assert (np.abs(picture - bgr).max(axis=2) < 60).sum() > 20, lane.name
+    assert lane_color(0) != lane_color(1)
 
 
 def test_overlay_plays_with_the_recordings_times(out: Path) -> None:

@@ -22,6 +22,8 @@ VEHICLE_COLORS = [
     "#c99700",
     "#5fb0dd",
 ]  # on white, black and pictures alike
+# of lanes, apart from those of vehicles
+LANE_COLORS = ["#8f6ae0", "#8aa321", "#b0683c", "#d1495b", "#2aa5a0", "#8592a0"]
 # The same colours on dark pages.
 DARK_THEME = {
     INK_COLOR: "#e6eaee",
@@ -81,6 +83,11 @@ def make_plot(name: str, description: str, size: tuple[float, float], draw: Call
         figure.set_layout_engine("none")  # computing the layout again would cost as much as drawing
         figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     return Plot(name, description, png.getvalue(), _themed(svg.getvalue()))
+
+
+def lane_color(index: int) -> str:
+    """The colour of a lane by its place among the paths, the same in plots, pictures and text."""
+    return LANE_COLORS[index % len(LANE_COLORS)]
 
 
 def _themed(svg: str) -> str:

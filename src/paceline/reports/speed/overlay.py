@@ -29,6 +29,7 @@ from paceline.reports.common.drawing import (
     scale_points,
 )
 from paceline.reports.common.formatting import format_compliance, format_measurement
+from paceline.reports.common.plots import lane_color
 from paceline.reports.common.video import VideoWriter, pad_to_even
 from paceline.speed.results import ClipResult, Measurement, Track
 
@@ -37,7 +38,6 @@ Grey = NDArray[np.uint8]  # (H, W)
 MAX_VIDEO_WIDTH_PX = 1920
 VIEWS_HEADER_HEIGHT_PX = 40  # of the strip above the views
 
-PATH_COLOR: Color = (240, 226, 180)
 LOST_COLOR: Color = (190, 190, 190)
 OUTSIDE_GREY_LEVEL = 96  # in stills, outside the image
 PARTICLE_COLOR: Color = (90, 220, 250)
@@ -175,8 +175,8 @@ def _draw_view(
 ) -> Picture:
     size = max(2, round(view.shape[1] * scale)), max(2, round(view.shape[0] * scale))
     picture = _to_bgr(cv2.resize(view, size, interpolation=cv2.INTER_AREA) if scale < 1 else view)
-    for path in result.paths:
-        _draw_path(picture, scale_points((path.left, path.right)[side], scale))
+    for i, path in enumerate(result.paths):
+        _draw_path(picture, scale_points((path.left, path.right)[side], scale), _parse_color(lane_color(i)))
     labels: list[tuple[str, Array, Color]] = []
     for layer in layers:
         row = layer.rows.get(frame.index)
@@ -198,13 +198,13 @@ def _draw_view(
     return picture
 
 
-def _draw_path(picture: Picture, points: Array) -> None:
+def _draw_path(picture: Picture, points: Array, color: Color) -> None:
     """A path as a thin line; parts that are not finite or far outside the picture are left out."""
     height, width = picture.shape[:2]
     near_image = (np.isfinite(points) & (points > -width - height) & (points < 2 * (width + height))).all(axis=1)
     for a, b, drawn in zip(points[:-1], points[1:], near_image[:-1] & near_image[1:], strict=True):
         if drawn:
-            draw_line(picture, a, b, PATH_COLOR)
+            draw_line(picture, a, b, color)
 
 
 def _draw_particles(picture: Picture, points: Array) -> None:

@@ -24,7 +24,7 @@ from paceline.reports.common.formatting import (
     speed_at,
 )
 from paceline.reports.common.html import flatten_settings, render
-from paceline.reports.common.plots import Plot
+from paceline.reports.common.plots import Plot, lane_color
 from paceline.reports.speed.cameras import camera_rows
 from paceline.reports.speed.distribution import MANY_VEHICLES, Distribution, describe_distribution
 from paceline.reports.speed.overlay import StereoStill
@@ -84,7 +84,10 @@ def write_page(
         compliance=count_compliance(m.compliance for m in result.measurements),
         plan=plan,
         overlay=overlay,
-        paths=[(path.name, format_number(path_length(path.points), 1)) for path in result.paths],
+        paths=[
+            (path.name, format_number(path_length(path.points), 1), lane_color(i))
+            for i, path in enumerate(result.paths)
+        ],
         cameras=camera_rows(result.cameras),
         settings=flatten_settings(result.configuration),
         seconds=format_number(result.seconds, 1),

@@ -15,6 +15,7 @@ from paceline.reports.common.plots import (
     MUTED_COLOR,
     REFINED_COLOR,
     Plot,
+    lane_color,
     make_plot,
 )
 from paceline.speed.results import ClipResult, Measurement, Track
@@ -115,10 +116,9 @@ def _spread(points: Array) -> float:
 
 def _draw_plan(figure: Figure, result: ClipResult, colors: dict[str, str]) -> None:
     axes = figure.subplots()
-    for path in result.paths:
-        axes.plot(
-            path.points[:, 2], -path.points[:, 0], color=MUTED_COLOR, lw=1, ls=(0, (6, 3)), label=f"path {path.name}"
-        )
+    for i, path in enumerate(result.paths):
+        x, _, z = path.points.T
+        axes.plot(z, -x, color=lane_color(i), lw=1.4, ls=(0, (6, 3)), label=f"path {path.name}")
     for measurement in result.measurements:
         track = measurement.track
         x, _, z = track.position.T
