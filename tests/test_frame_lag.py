@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -88,7 +89,8 @@ def test_a_vehicle_is_measured_by_videos_that_were_started_by_hand(lagging):
     assert abs(offset["value"] - rendered.errors.offset) < 4 * offset["std"] < 0.008 and offset["source"] == "estimated"
     assert measurement.verdict == "measured", measurement.reason
     assert measurement.speed_lo < 15.0 < measurement.speed_hi and measurement.speed_hi - measurement.speed_lo < 0.4
-    assert any("ms after the left ones, by what moves in them" in notice for notice in result.notices)
+    (notice,) = (notice for notice in result.notices if "ms after the left ones, by what moves in them" in notice)
+    assert re.search(r"exposed −?[\d.]+ ± [\d.]+ ms after", notice)
     assert result.lag == pytest.approx(offset["value"], abs=0.05)
 
 

@@ -212,7 +212,7 @@ def test_the_command_writes_a_model_and_its_image(folder: Path) -> None:
     assert "target.png" in done.stdout and "uncertain by ±" in done.stdout and not done.stderr
     assert re.search(
         r"\n\d horizontal and \d vertical lines, \d+ % of them mirrored about the middle, with \d\d grey levels of "
-        r"contrast; one image determines its place to ± 0\.\d px and its distance to ± [01]\.\d % \(95 %\)\n",
+        r"contrast; one image determines its place to ± 0\.\d\d px and its distance to ± [01]\.\d\d? % \(95 %\)\n",
         done.stdout,
     )
     start = yaml.safe_load(done.stdout.splitlines()[-1])["start"]

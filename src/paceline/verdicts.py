@@ -141,7 +141,7 @@ _REJECTION_ROWS = {
         "State when each frame was taken in times.csv.",
     ),
     "motion_implausible": (
-        "implausible: the vehicle {motion} with {acceleration:.1f} ± {std:.1f} m/s² (limit {max_acceleration:g})",
+        "implausible: the vehicle {motion} with at least {acceleration:.1f} m/s² (95 %; limit {max_acceleration:g})",
         "Check that no pictures are missing, repeated or out of order and that the time stamps are right, and look in "
         "the overlay whether the outline stays on the vehicle.",
     ),
@@ -340,8 +340,7 @@ _WARNING_ROWS = {
     ),
     "views_skewed": ("{frames} are taken {skew}", _SYNCHRONISE_ADVICE),
     "views_not_simultaneous": (
-        "right frames are exposed {offset_ms:+.1f} ± {std_ms:.1f} ms after the left ones, by what moves in them, which "
-        "is allowed for",
+        "right frames are exposed {offset} ms after the left ones, by what moves in them, which is allowed for",
         "Trigger both cameras in hardware, or state `offset` in clip.yaml.",
     ),
     "calibration_stale": (
@@ -498,8 +497,8 @@ _INFORMATION_ROWS = {
         "State it beside the width, as in 1.7±0.05: every distance is as uncertain.",
     ),
     "lines_beyond_sides": (
-        "vertical lines lie up to {distance_px:.1f} px outside the vehicle's sides, which are {width_px:.1f} ± "
-        "{std_px:.1f} px apart by the box and the edges beside it; the ranges go by the sides",
+        "vertical lines lie up to {distance_px:.1f} px outside the vehicle's sides, which are {width} px apart by the "
+        "box and the edges beside it; the ranges go by the sides",
         "Look at these lines in the picture and delete those on a shadow or the background. If they are the sides, "
         "draw the box again.",
     ),

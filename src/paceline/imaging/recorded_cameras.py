@@ -26,8 +26,10 @@ from paceline.imaging.frame_times import FrameTimes, estimate_frame_times
 from paceline.imaging.lasting_turns import LastingTurn, lasting_turn
 from paceline.imaging.moving_features import moving_features
 from paceline.imaging.outline_motion import displacement_between_exposures, followed, motion_by_depth
+from paceline.number_format import format_uncertain
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording, counted_frames
+from paceline.units import COVERAGE_95
 from paceline.verdicts import Message, message
 
 # Readout of a camera whose shutter nothing is said of: of ordinary rolling shutters it is 8 to 30 ms, of global ones 0
@@ -86,7 +88,8 @@ class RecordedCameras:
         if epipolar is not None and shift > MAX_RIG_SHIFT_SIGMA:
             notices.append(message("calibration_stale", epipolar_px=epipolar.value, shift=shift))
         if offset is not None and offset.source == "estimated" and abs(offset.value) > MIN_OFFSET_SIGMA * offset.std:
-            notices.append(message("views_not_simultaneous", offset_ms=1e3 * offset.value, std_ms=1e3 * offset.std))
+            milliseconds = format_uncertain(1e3 * offset.value, 1e3 * COVERAGE_95 * offset.std)
+            notices.append(message("views_not_simultaneous", offset=milliseconds))
         return notices
 
     @cached_property

@@ -86,11 +86,9 @@ def check_motion(refined: RefinedMotion) -> Message:
         ("gathers speed", along, along_std, FULL_THROTTLE_MPS2),
         ("turns", across, across_std, FULL_TURNING_MPS2),
     ):
-        frame = int(np.argmax(value - limit - CERTAINTY_SIGMA * std))
-        if value[frame] - CERTAINTY_SIGMA * std[frame] > limit:
-            return message(
-                "motion_implausible", motion=motion, acceleration=value[frame], std=std[frame], max_acceleration=limit
-            )
+        least = float(np.max(value - CERTAINTY_SIGMA * std))
+        if least > limit:
+            return message("motion_implausible", motion=motion, acceleration=least, max_acceleration=limit)
     return NO_REASON
 
 

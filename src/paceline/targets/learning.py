@@ -18,6 +18,7 @@ from paceline.arrays import Array, Image
 from paceline.cameras import Camera
 from paceline.documents.loading import TargetDocument
 from paceline.errors import UnusableInput
+from paceline.number_format import format_uncertain
 from paceline.targets.image_lines import Line, edge_points, find_lines
 from paceline.targets.model_quality import ModelQuality, judge_model
 from paceline.targets.side_estimation import EDGE_SEARCH_PX, Side, estimate_side, side_edges, width_std
@@ -112,7 +113,7 @@ def _lines_beyond_sides(vertical: list[Line], left: Side, right: Side) -> tuple[
     if not beyond:
         return ()
     width, std = right.position - left.position, width_std(left, right)
-    return (message("lines_beyond_sides", distance_px=max(beyond), width_px=width, std_px=std),)
+    return (message("lines_beyond_sides", distance_px=max(beyond), width=format_uncertain(width, COVERAGE_95 * std)),)
 
 
 def corner_names(count: int) -> list[str]:
