@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import threading
 import time
 from pathlib import Path
@@ -55,6 +57,28 @@ def test_links_are_not_followed(folder: Path, client: TestClient) -> None:
 def test_results_of_other_folders_are_not_given(client: TestClient, address: str) -> None:
     for name in ("report.html", "..%2F..%2Fsecret.txt", "secret.txt", "run.json"):
         assert client.get(f"/results/{address}/1/{name}").status_code == 404
+
+
+def test_only_pictures_of_vehicles_are_given_from_folders_of_a_run(folder: Path, client: TestClient) -> None:
+    run = folder / "road" / "runs" / "0001"
+    record = {"clip": "road", "number": 1, "kind": "speed", "options": [], "state": "measured", "created": 1.0}
+    for place in ("pictures", "outlines", "plots"):
+        (run / "out" / place).mkdir(parents=True)
+        (run / "out" / place / "v0.jpg").write_bytes(b"picture")
+    (run / "run.json").write_text(json.dumps(record))
+    try:
+        for place, status in (("pictures", 200), ("outlines", 200), ("plots", 404), ("..", 404), ("..%2Fout", 404)):
+            address = result_address("road", 1, f"{place}/v0.jpg")
+            assert client.get(address).status_code == status, address
+    finally:
+        shutil.rmtree(folder / "road" / "runs")
+
+
+def test_a_lane_centre_that_is_no_number_is_refused(folder: Path, client: TestClient) -> None:
+    for offset in ("1", [], 1e300, True):
+        path = {"shape": "line", "left": [], "right": [], "lateral_offset": offset}
+        answer = client.post("/api/check", params={"clip": "road"}, json={"paths": {"a": path}, "vehicles": []})
+        assert answer.status_code == 422 and "expected a number" in answer.json()["reason"]
 
 
 @pytest.mark.parametrize("name", [".", "a/b", "Strasse – Süd", "100%?#"])
