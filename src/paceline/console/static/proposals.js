@@ -74,7 +74,7 @@ export class Proposals {
 
   takeLanes({ paths }) {
     this.editor.model.change((m) => { for (const entry of Object.values(paths)) m.addPath(entry); });
-    this.editor.showMessage(`${Object.keys(paths).length} proposed. What is drawn is the middle of each lane. Check them, remove what is wrong, and save. Next: the vehicles.`);
+    this.editor.showMessage(`${Object.keys(paths).length} proposed. The lines drawn are the lane centres. Check them, remove what is wrong, and save. Next: the vehicles.`);
   }
 
   async vehicles() {
