@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 from scipy.stats import t as student
 
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
@@ -163,13 +164,19 @@ def second(difference: float, difference_std: float, std: float) -> SecondEstima
     return SecondEstimate(np.array([20.0]), np.array([[std**2]]), 20.0, difference, difference_std)
 
 
+def refined_motion(speed: float, std: float, matching_std: float = 0.0) -> RefinedMotion:
+    """A refined motion of ``speed`` (m/s), its only parameter, with these standard deviations by 9 degrees of freedom
+    and by what all matches share."""
+    covariance, matching = (np.array([[s**2]]) for s in (std, matching_std))
+    zeros, trajectory = np.zeros((1, 1)), cast(Trajectory, SimpleNamespace(mean_speed_gradient=np.ones(1)))
+    images = 1.0, 10.0, np.zeros((9, 2, 2)), np.ones((9, 2)), (), cast(Prior, None), 0.0, 9.0, True
+    return RefinedMotion(trajectory, np.zeros(1), np.array([speed]), covariance, matching, zeros, zeros, None, *images)
+
+
 def combined(difference: float, stds: tuple[float, float]) -> tuple[float, float]:
     """The speed and its standard deviation of estimates of 20 m/s less the ``difference``, by the photometric fit, and
     of 20 m/s by corners, with these ``stds``."""
-    theta, covariance = np.array([20.0 - difference]), np.array([[stds[0] ** 2]])
-    zeros, trajectory = np.zeros((1, 1)), cast(Trajectory, SimpleNamespace(mean_speed_gradient=np.ones(1)))
-    images = 1.0, 10.0, np.zeros((9, 2, 2)), np.ones((9, 2)), (), cast(Prior, None), 0.0, 9.0, True
-    fit = RefinedMotion(trajectory, np.zeros(1), theta, covariance, zeros, zeros, zeros, None, *images)
+    fit = refined_motion(20.0 - difference, stds[0])
     result = second(difference, float(np.hypot(*stds)), stds[1]).combined_with(fit)
     return float(result.theta[0]), float(np.sqrt(result.covariance[0, 0]))
 
@@ -201,6 +208,27 @@ def test_intervals_of_the_mean_hold_for_correlated_estimates() -> None:
     found = np.array([combined(corners - photometric, stds) for photometric, corners in errors])
     z = (found[:, 0] - 20.0 + errors[:, 1]) / found[:, 1]
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.03  # Birge's ratio only widens
+
+
+@pytest.mark.parametrize("matching_std", [0.0, 0.05, 0.2])
+def test_intervals_by_estimated_variances_cover_95_percent(matching_std: float) -> None:
+    """Student's distribution is of the variance that the images give, not of what is known."""
+    rng = np.random.default_rng(5)
+    noise, matching = 0.1 * rng.normal(size=4000), matching_std * rng.normal(size=4000)
+    stds = 0.1 * np.sqrt(rng.chisquare(9, size=4000) / 9)
+    halves = []
+    for std in stds:
+        fit = refined_motion(20.0, std, matching_std)
+        halves.append(stdtrit(fit.noise_dof(fit.covariance), 0.975) * np.hypot(std, matching_std))
+    assert 0.94 < np.mean(np.abs(noise + matching) < halves) < 0.96
+
+
+def test_the_mean_of_two_estimates_is_of_more_degrees_of_freedom() -> None:
+    def dof(stds: tuple[float, float]) -> float:
+        return second(0.0, float(np.hypot(*stds)), stds[1]).combined_with(refined_motion(20.0, stds[0])).dof
+
+    assert 18.0 <= dof((0.1, 0.1)) < 30.0 and dof((0.1, 5.0)) == pytest.approx(9.0, abs=0.5)
+    assert dof((5.0, 0.1)) == pytest.approx(9.0, abs=0.5)
 
 
 def test_what_is_reported_is_the_mean_of_both_estimates(measured: Any) -> None:

@@ -863,8 +863,8 @@ def test_the_rig_information_belongs_to_the_reported_motion(
         for C in (fit.covariance + seen[-1].matching_covariance, seen[-1].model_covariance)
     )
     assert m.rig_information.mean_speed_std == pytest.approx(np.hypot(noise, doubt)) and doubt > 0
-    wider = stdtrit(seen[-1].dof, 0.975)
-    assert wider > 2.1
+    wider = stdtrit(seen[-1].noise_dof(fit.covariance), 0.975)
+    assert 1.98 < wider < stdtrit(seen[-1].dof, 0.975)
     assert m.rig_information.half_width == pytest.approx(np.hypot(wider * noise, 1.95996 * doubt), rel=1e-5)
     np.testing.assert_array_equal(np.isfinite(m.rig_information.speed_stds), np.isfinite(m.track.refined_std))
 

@@ -263,7 +263,7 @@ class VehicleMeasurement:
             information=fit.information,
             mean_speed_gradient=mean @ fit.response,
             mean_speed_std=float(np.hypot(noise, model)),
-            half_width=random_half_width(noise, model, refined.dof),
+            half_width=random_half_width(noise, model, refined.noise_dof(refined.covariance_given_rig)),
             speed_jacobian=self._by_row(gradients @ fit.response),
             speed_stds=self._by_row(np.sqrt(variances + refined.reference_variances)),
             exposure_stds=refined.trajectory.timing.stds,

@@ -50,7 +50,7 @@ class RefinedMotion:
     motion_terms: tuple[str, ...]  # of MOTION_TERMS, chosen by their evidence
     prior: Prior  # of the chosen model
     deviation_sigma: float  # RMS over the modes of the deviation from the path, in prior standard deviations
-    dof: float
+    dof: float  # of the covariance
     converged: bool
     reference: ReferencePoint = ReferencePoint()  # whose speed it is
 
@@ -111,6 +111,13 @@ class RefinedMotion:
         """Covariance (n, n) of ``theta``, systematic part included where known."""
         random = self.covariance + self.matching_covariance + self.model_covariance
         return np.asarray(random + np.nan_to_num(self.systematic_covariance))
+
+    def noise_dof(self, scatter: Array) -> float:
+        """Effective degrees of freedom of the mean speed's variance from noise, of which the part by ``scatter`` (n, n)
+        is estimated from the images and the rest is known (Satterthwaite 1946, "An approximate distribution of
+        estimates of variance components")."""
+        g = self.trajectory.mean_speed_gradient
+        return self.dof * (1.0 + float(g @ self.matching_covariance @ g) / float(g @ scatter @ g)) ** 2
 
     def mean_speed(self) -> tuple[float, float, float, float]:
         """The mean speed and its standard deviations from noise, model choice and calibration; m/s."""

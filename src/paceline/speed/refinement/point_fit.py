@@ -62,9 +62,11 @@ class SecondEstimate:
         weights = 1.0 / (variances + 1.0 / (1.0 / variances).sum())
         weights /= weights.sum()
         birge_squared = max(1.0, self.difference**2 / float(variances.sum() - 2.0 * common))
-        variance = birge_squared * float(weights**2 @ variances + 2.0 * weights.prod() * common)
+        parts = weights**2 * variances
+        variance = float(parts.sum() + 2.0 * weights.prod() * common)
+        dof = refined.dof * variance**2 / float(parts @ parts)  # Satterthwaite 1946; each variance has its own scatter
         mixed = weights[0] * photometric + weights[1] * self.covariance
-        given_rig = variance / float(weights @ variances) * mixed
+        given_rig = birge_squared * variance / float(weights @ variances) * mixed
         # what is by noise in the rig's estimate, which is the photometric fit's alone, stays
         by_rig = max(1.0 - float(variances[0] / (gradient @ refined.covariance @ gradient)), 0.0)
         return replace(
@@ -72,6 +74,7 @@ class SecondEstimate:
             theta=refined.theta + weights[1] * (self.theta - refined.theta),
             covariance=given_rig + by_rig * refined.covariance,
             rig_estimate=None if rig is None else replace(rig, covariance=given_rig),
+            dof=dof,
         )
 
 

@@ -26,7 +26,7 @@ class SpeedInterval:
     @staticmethod
     def of(refined: RefinedMotion) -> SpeedInterval:
         speed, noise_std, model_std, systematic_std = refined.mean_speed()
-        random = random_half_width(noise_std, model_std, refined.dof)
+        random = random_half_width(noise_std, model_std, refined.noise_dof(refined.covariance))
         half_width = float(np.hypot(random, COVERAGE_95 * np.nan_to_num(systematic_std)))
         return SpeedInterval(speed, float(np.hypot(noise_std, model_std)), systematic_std, half_width, random)
 
@@ -34,8 +34,8 @@ class SpeedInterval:
 def random_half_width(noise_std: float, model_std: float, dof: float) -> float:
     """The half-width of an interval by noise and by the choice of a model, of these standard deviations.
 
-    Few frames and patches determine the noise: its part is that of Student's distribution with ``dof`` degrees of
-    freedom.
+    Few frames and patches determine the noise: its part is that of Student's distribution with ``dof`` effective
+    degrees of freedom.
     """
     noise_quantile = stdtrit(dof, 0.5 + CONFIDENCE_LEVEL / 2)
     return float(np.hypot(noise_quantile * noise_std, COVERAGE_95 * model_std))
