@@ -171,7 +171,7 @@ def case_of(scene: Scene, changed: Callable[[Clip], Clip] = lambda clip: clip, d
 def disagree(case: Case, second: SecondEstimate | None) -> bool:
     """Whether a speed is rejected for its second estimate."""
     half = (case.measurement.speed_hi - case.measurement.speed_lo) / 2
-    return second is not None and bool(acceptance.check_second_estimate(case.refined, second, half))
+    return second is not None and bool(acceptance.check_second_estimate(second, half))
 
 
 def moved(case: Case, change: float, along_valley: bool) -> Case:

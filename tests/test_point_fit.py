@@ -106,7 +106,7 @@ def test_the_speed_is_that_of_the_points_wherever_the_photometric_fit_is(measure
     refined, _, _ = measured
     for factor in (0.97, 1.0, 1.03):
         speed = factor * SPEED
-        theta, covariance = PointFit(refined, tracks_of(refined, speed, others, 0.05)).solution()
+        theta, covariance, _ = PointFit(refined, tracks_of(refined, speed, others, 0.05)).solution()
         gradient = refined.trajectory.mean_speed_gradient
         std = float(np.sqrt(gradient @ covariance @ gradient))
         assert std < 0.01 * SPEED
@@ -129,7 +129,7 @@ def test_a_wrong_speed_is_contradicted_and_a_right_one_is_not(measured: Any) -> 
     for share, code in ((0.0, ""), (0.04, "methods_disagree"), (-0.04, "methods_disagree")):
         wrong = moved(refined, share)
         second = second_estimate(wrong, keyframes)
-        assert second is not None and check_second_estimate(wrong, second, half).code == code
+        assert second is not None and check_second_estimate(second, half).code == code
         speeds.append(second.speed)
     assert speeds == pytest.approx([SPEED] * 3, rel=0.005)
 
@@ -149,19 +149,18 @@ def test_nothing_is_said_where_no_corners_are_tracked(measured: Any) -> None:
 
 
 def test_a_difference_counts_beyond_the_interval_and_both_covariances() -> None:
-    refined = cast(RefinedMotion, type("Fit", (), {"dof": 9.0}))
     by_covariances = float(student.ppf(1 - MAX_DISAGREEMENT_CHANCE / 2, 9.0)) * 0.1
 
     def code(difference: float, half_width: float) -> str:
-        return check_second_estimate(refined, second(difference, 0.1, 0.05), half_width).code
+        return check_second_estimate(second(difference, 0.1, 0.05), half_width).code
 
     assert code(1.01 * by_covariances, 0.2) == code(-1.01 * by_covariances, 0.2) == "methods_disagree"
     assert code(0.99 * by_covariances, 0.2) == code(1.01 * by_covariances, 0.5) == code(float("nan"), 0.2) == ""
 
 
 def second(difference: float, difference_std: float, std: float) -> SecondEstimate:
-    """A second estimate of 20 m/s, the only parameter of its motion."""
-    return SecondEstimate(np.array([20.0]), np.array([[std**2]]), 20.0, difference, difference_std)
+    """A second estimate of 20 m/s, the only parameter of its motion, by 9 degrees of freedom."""
+    return SecondEstimate(np.array([20.0]), np.array([[std**2]]), 20.0, difference, difference_std, 9.0, 9.0)
 
 
 def refined_motion(speed: float, std: float, matching_std: float = 0.0) -> RefinedMotion:

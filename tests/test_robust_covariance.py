@@ -7,13 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.special import stdtrit
 
 from paceline.speed.refinement.robust_covariance import (
     MIN_INFORMATION_LEFT,
     MIN_VARIANCE_SHARE,
+    RobustCovariance,
     assemble,
     assemble_scores,
     covariance,
+    effective_dof,
     mean_of_estimates,
 )
 
@@ -90,7 +93,26 @@ def test_the_covariance_is_the_sandwich_of_corrected_scores(seed: int, scale: fl
     by_frame = sandwich([cluster(v // 2 == n) for n in range(views // 2)])
     by_patch = sandwich([cluster(k == n) for n in range(K)])
     wider = max(by_frame, by_patch, key=lambda C: gradient @ C @ gradient)
-    np.testing.assert_allclose(covariance(A, prior, cells_A, cells, gradient), wider, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(covariance(A, prior, cells_A, cells, gradient).total, wider, rtol=1e-9, atol=1e-12)
     both = by_frame + by_patch - sandwich([])
     crossed = covariance(A, prior, cells_A, cells, gradient, is_crossed=True)
-    np.testing.assert_allclose(crossed, both, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(crossed.total, both, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("known", [0.0, 0.3, 3.0])
+def test_intervals_by_effective_degrees_of_freedom_cover_95_percent(known: float) -> None:
+    """Of a sum of errors of which one has a known variance and two have variances that are estimated."""
+    rng = np.random.default_rng(5)
+    true, dofs = np.array([1.0, 0.4, known]), np.array([9.0, 5.0, np.inf])
+    errors = rng.normal(size=(20000, 3)) @ np.sqrt(true)
+    estimated = np.column_stack([rng.chisquare(9, 20000) / 9, 0.4 * rng.chisquare(5, 20000) / 5, np.full(20000, known)])
+    halves = [stdtrit(effective_dof(v, dofs), 0.975) * np.sqrt(v.sum()) for v in estimated]
+    assert 0.944 < np.mean(np.abs(errors) < halves) < 0.96
+
+
+def test_what_is_known_by_the_prior_has_no_limited_degrees_of_freedom() -> None:
+    scatter, prior = np.diag([4.0, 1.0]), np.diag([0.0, 1.0])
+    C = RobustCovariance(prior, scatter)
+    np.testing.assert_array_equal(C.total, scatter + prior)
+    assert C.dof(np.array([1.0, 0.0]), 10) == pytest.approx(9.0)
+    assert C.dof(np.array([0.0, 1.0]), 10) == pytest.approx(36.0)

@@ -105,11 +105,11 @@ def check_surface(refined: RefinedMotion, keyframes: Sequence[Keyframe], path: P
     return message("on_the_road_surface", log_ratio=log_ratio, max_log_ratio=MAX_LOG_RATIO_OF_ROAD)
 
 
-def check_second_estimate(refined: RefinedMotion, second: SecondEstimate, half_width: float) -> Message:
+def check_second_estimate(second: SecondEstimate, half_width: float) -> Message:
     """The reason to reject a speed with its half-width ``half_width`` (m/s) from which the ``second`` estimate differs
     by more than that, and by more than both covariances allow; else empty."""
     chance = 1.0 - MAX_DISAGREEMENT_CHANCE / 2
-    limit = max(half_width, float(stdtrit(refined.dof, chance)) * second.difference_std)
+    limit = max(half_width, float(stdtrit(second.difference_dof, chance)) * second.difference_std)
     if not abs(second.difference) > limit:
         return NO_REASON
     return message(

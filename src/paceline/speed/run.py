@@ -211,7 +211,7 @@ class VehicleMeasurement:
         )
         second = None if reason else second_estimate(refined, self.keyframes)
         if second is not None:
-            reason = acceptance.check_second_estimate(refined, second, interval.half_width)
+            reason = acceptance.check_second_estimate(second, interval.half_width)
             if not reason:
                 refined = second.combined_with(refined)
                 interval = SpeedInterval.of(refined)

@@ -9,6 +9,7 @@ import numpy as np
 
 from paceline.arrays import Array
 from paceline.speed.configuration import DEFAULTS
+from paceline.speed.refinement import robust_covariance
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.photometric_fit import MIN_MODEL_PROBABILITY, PhotometricFit
 from paceline.speed.refinement.reference_point import ReferencePoint, mean_width
@@ -50,7 +51,7 @@ class RefinedMotion:
     motion_terms: tuple[str, ...]  # of MOTION_TERMS, chosen by their evidence
     prior: Prior  # of the chosen model
     deviation_sigma: float  # RMS over the modes of the deviation from the path, in prior standard deviations
-    dof: float  # of the covariance
+    dof: float  # effective degrees of freedom of the mean speed's variance by the covariance
     converged: bool
     reference: ReferencePoint = ReferencePoint()  # whose speed it is
 
@@ -112,12 +113,12 @@ class RefinedMotion:
         random = self.covariance + self.matching_covariance + self.model_covariance
         return np.asarray(random + np.nan_to_num(self.systematic_covariance))
 
-    def noise_dof(self, scatter: Array) -> float:
-        """Effective degrees of freedom of the mean speed's variance from noise, of which the part by ``scatter`` (n, n)
-        is estimated from the images and the rest is known (Satterthwaite 1946, "An approximate distribution of
-        estimates of variance components")."""
+    def noise_dof(self, covariance: Array) -> float:
+        """Effective degrees of freedom of the mean speed's variance from noise, of which the ``covariance`` (n, n) has
+        ``dof`` and what all matches share is known."""
         g = self.trajectory.mean_speed_gradient
-        return self.dof * (1.0 + float(g @ self.matching_covariance @ g) / float(g @ scatter @ g)) ** 2
+        variances = np.array([g @ C @ g for C in (covariance, self.matching_covariance)])
+        return robust_covariance.effective_dof(variances, np.array([self.dof, np.inf]))
 
     def mean_speed(self) -> tuple[float, float, float, float]:
         """The mean speed and its standard deviations from noise, model choice and calibration; m/s."""

@@ -26,6 +26,7 @@ from paceline.speed.refinement import robust_covariance
 from paceline.speed.refinement.keyframes import Keyframe
 from paceline.speed.refinement.pyramid import ROWS_PER_PATCH, PatchGrid, PyramidLevel, areas, build_levels
 from paceline.speed.refinement.reference_point import ReferencePoint, reference_point
+from paceline.speed.refinement.robust_covariance import RobustCovariance
 from paceline.speed.refinement.self_calibration import RigEstimate, RigParameters, fixed_rig, rig_directions
 from paceline.speed.refinement.trajectory import PARAMETER_INDEX, Prior, Trajectory
 
@@ -278,7 +279,7 @@ class PhotometricFit:
             if step < converged_step:
                 break
         self.converged = step < MAX_LAST_STEP_SIGMA
-        self.__dict__.pop("covariance", None)
+        self.__dict__.pop("_robust_covariance", None)
 
     def _parameters_from_filter(self) -> Array:
         """Parameters (n,) from a robust least-squares fit to the filter's quadrilaterals.
@@ -396,20 +397,25 @@ class PhotometricFit:
         shared[:P, :P] = self.prior.information
         return robust_covariance.arrow_matrix(shared, 0.0, np.tile(DEPTH_OFFSET_INFORMATION, (K, 1, 1)))
 
-    @cached_property
+    @property
     def covariance(self) -> Array:
         """Cluster-robust covariance (P, P) of the free parameters, without the calibration's part."""
+        return self._robust_covariance.total
+
+    @cached_property
+    def _robust_covariance(self) -> RobustCovariance:
         return self._covariance(len(self.rig_offset))
 
-    def _covariance(self, Q: int) -> Array:
-        """Cluster-robust covariance (P, P) of the free parameters, with the rig unknown in ``Q`` directions: all of
+    def _covariance(self, Q: int) -> RobustCovariance:
+        """Cluster-robust covariance of the free parameters, with the rig unknown in ``Q`` directions: all of
         ``rig_offset``, or none."""
         P, fixed = len(self.prior.free), self._rig_slice if Q == 0 else slice(0)
         prior, (cells_A, cells) = self._prior_information(0.0), self._cells
         A, prior = (np.delete(np.delete(m, fixed, 0), fixed, 1) for m in (self.A, prior))
         cells_A, cells = np.delete(np.delete(cells_A, fixed, -2), fixed, -1), np.delete(cells, fixed, -1)
         gradient = np.append(self._mean_speed_gradient, np.zeros(Q + 1))
-        return robust_covariance.covariance(A, prior, cells_A, cells, gradient)[:P, :P]
+        shared = robust_covariance.covariance(A, prior, cells_A, cells, gradient)
+        return RobustCovariance(shared.of_prior[:P, :P], shared.of_scatter[:P, :P])
 
     @property
     def full_covariance(self) -> Array:
@@ -419,7 +425,7 @@ class PhotometricFit:
     @property
     def covariance_given_rig(self) -> Array:
         """Covariance (n, n) of all parameters if the rig were known, zero for those that are not free."""
-        return self._embed(self._covariance(0)) if len(self.rig_offset) else self.full_covariance
+        return self._embed(self._covariance(0).total) if len(self.rig_offset) else self.full_covariance
 
     def _embed(self, covariance: Array) -> Array:
         """The free parameters' ``covariance`` (P, P) as a covariance (n, n) of all parameters."""
@@ -435,8 +441,10 @@ class PhotometricFit:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the covariance: the number of frames or patches, whichever is smaller, less one."""
-        return float(min(len(self.keyframes), len(self.depth_offsets)) - 1)
+        """Effective degrees of freedom of the mean speed's variance: what scatter tells of it is known from frames or
+        patches, whichever are fewer."""
+        clusters = min(len(self.keyframes), len(self.depth_offsets))
+        return self._robust_covariance.dof(self._mean_speed_gradient, clusters)
 
     @property
     def residual_rms(self) -> float:

@@ -37,7 +37,8 @@ class SecondEstimate:
     """The motion ``theta`` (n,) by tracked corners, its ``covariance`` (n, n) and its mean ``speed`` (m/s).
 
     ``difference`` (m/s) is that from the mean speed of the photometric fit; its standard deviation ``difference_std``
-    takes both estimates as independent. Covariances are by the scatter over corners, patches and frames, with the rig
+    takes both estimates as independent. ``dof`` and ``difference_dof`` are the effective degrees of freedom of the
+    variances of both. Covariances are by the scatter over corners, patches and frames, with the rig
     known and without the errors that all matches between the views share, which both estimates have in common.
     """
 
@@ -46,6 +47,8 @@ class SecondEstimate:
     speed: float
     difference: float
     difference_std: float
+    dof: float
+    difference_dof: float
 
     def combined_with(self, refined: RefinedMotion) -> RefinedMotion:
         """The ``refined`` motion with the mean of both estimates; what it says of the images is the photometric fit's.
@@ -64,7 +67,6 @@ class SecondEstimate:
         birge_squared = max(1.0, self.difference**2 / float(variances.sum() - 2.0 * common))
         parts = weights**2 * variances
         variance = float(parts.sum() + 2.0 * weights.prod() * common)
-        dof = refined.dof * variance**2 / float(parts @ parts)  # Satterthwaite 1946; each variance has its own scatter
         mixed = weights[0] * photometric + weights[1] * self.covariance
         given_rig = birge_squared * variance / float(weights @ variances) * mixed
         # what is by noise in the rig's estimate, which is the photometric fit's alone, stays
@@ -74,7 +76,7 @@ class SecondEstimate:
             theta=refined.theta + weights[1] * (self.theta - refined.theta),
             covariance=given_rig + by_rig * refined.covariance,
             rig_estimate=None if rig is None else replace(rig, covariance=given_rig),
-            dof=dof,
+            dof=variance**2 / float((parts**2 / [refined.dof, self.dof]).sum()),  # Satterthwaite 1946
         )
 
 
@@ -92,14 +94,16 @@ def second_estimate(refined: RefinedMotion, keyframes: Sequence[Keyframe]) -> Se
     chosen = CornerTracks(*(a[usable] for a in (tracks.square, tracks.pixels, tracks.resampling, tracks.information)))
     gradient = trajectory.mean_speed_gradient
     try:
-        theta, covariance = PointFit(refined, chosen).solution()
+        theta, covariance, dof = PointFit(refined, chosen).solution()
     except np.linalg.LinAlgError:
         return None
     speed, variance = float(gradient @ theta), float(gradient @ covariance @ gradient)
     if not (np.isfinite(theta).all() and np.isfinite(covariance).all() and variance > 0.0):
         return None
-    difference_std = float(np.sqrt(variance + gradient @ refined.covariance_given_rig @ gradient))
-    return SecondEstimate(theta, covariance, speed, speed - float(gradient @ refined.theta), difference_std)
+    variances = np.array([variance, gradient @ refined.covariance_given_rig @ gradient])
+    difference_dof = robust_covariance.effective_dof(variances, np.array([dof, refined.dof]))
+    difference, difference_std = speed - float(gradient @ refined.theta), float(np.sqrt(variances.sum()))
+    return SecondEstimate(theta, covariance, speed, difference, difference_std, dof, difference_dof)
 
 
 class PointFit:
@@ -116,8 +120,9 @@ class PointFit:
         self._from_view = np.linalg.inv(tracks.resampling)
         self._sigma = 1.0
 
-    def solution(self) -> tuple[Array, Array]:
-        """The parameters (n,) and their covariance (n, n), zero for those that are held fixed.
+    def solution(self) -> tuple[Array, Array, float]:
+        """The parameters (n,), their covariance (n, n), zero for those that are held fixed, and the effective degrees
+        of freedom of the mean speed's variance.
 
         Raises numpy.linalg.LinAlgError where the corners do not determine the motion, or the fit does not converge.
         """
@@ -143,8 +148,8 @@ class PointFit:
         gradient = self.trajectory.mean_speed_gradient[self._free]
         covariance = np.zeros((len(self.theta),) * 2)
         of_free = robust_covariance.covariance(A, prior_matrix, cells_A, cells, gradient, is_crossed=True)
-        covariance[np.ix_(self._free, self._free)] = of_free
-        return self.theta, covariance
+        covariance[np.ix_(self._free, self._free)] = of_free.total
+        return self.theta, covariance, of_free.dof(gradient, min(self.tracks.pixels.shape[1] // 2, N))
 
     def _cells(self, estimate_scale: bool) -> tuple[Array, Array]:
         """The cells (V, N, P + 3, P + 3) and (V, N, P + 3) of the normal equations, one for each corner in each view,

@@ -6,6 +6,8 @@ Normal equations come in *cells*, one for each patch of each view: matrices (vie
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.linalg import eigh
 
@@ -13,6 +15,30 @@ from paceline.arrays import Array
 
 MIN_VARIANCE_SHARE = 0.5  # least variance of a mean of estimates, as a share of their mean variance
 MIN_INFORMATION_LEFT = 0.05  # share of the information that is assumed outside a single cluster
+
+
+@dataclass(frozen=True, eq=False)
+class RobustCovariance:
+    """Covariance (P, P) of the shared parameters: the part ``of_prior`` is known, that ``of_scatter`` is estimated."""
+
+    of_prior: Array
+    of_scatter: Array
+
+    @property
+    def total(self) -> Array:
+        return np.asarray(self.of_prior + self.of_scatter)
+
+    def dof(self, gradient: Array, clusters: int) -> float:
+        """Effective degrees of freedom of the variance of the linear function ``gradient`` (P,), of whose scatter that
+        of so many ``clusters`` is known."""
+        variances = np.array([gradient @ C @ gradient for C in (self.of_scatter, self.of_prior)])
+        return effective_dof(variances, np.array([clusters - 1.0, np.inf]))
+
+
+def effective_dof(variances: Array, dofs: Array) -> float:
+    """Degrees of freedom of the sum of ``variances`` (N,) that have these ``dofs`` (N,), infinite where they are known
+    (Satterthwaite 1946, "An approximate distribution of estimates of variance components")."""
+    return float(variances.sum() ** 2 / max(float((variances**2 / dofs).sum()), np.finfo(float).tiny))
 
 
 def assemble(cells_A: Array, P: int) -> Array:
@@ -42,8 +68,8 @@ def assemble_scores(cells: Array, P: int) -> Array:
 
 def covariance(
     A: Array, prior: Array, cells_A: Array, cells: Array, gradient: Array, is_crossed: bool = False
-) -> Array:
-    """Covariance (P, P) of the shared parameters, with normal matrix ``A`` and ``prior`` information.
+) -> RobustCovariance:
+    """The covariance of the shared parameters, with normal matrix ``A`` and ``prior`` information.
 
     Errors that a patch repeats in every frame, or a frame in every patch, do not average out over pixels: scores are
     summed within each before they are squared. A sandwich estimate for each way of clustering, with the small-sample
@@ -67,7 +93,7 @@ def covariance(
         by_patch.append(inverse[:P, own] @ _corrected_score(marginal, cells_A[:, k].sum(0), cells[:, k].sum(0)))
     scatters = [changes.T @ changes for changes in (np.array(by_frame), np.array(by_patch))]
     scatter = scatters[0] + scatters[1] if is_crossed else max(scatters, key=lambda C: float(gradient @ C @ gradient))
-    return np.asarray(of_prior + scatter)
+    return RobustCovariance(of_prior, np.asarray(scatter))
 
 
 def _corrected_score(A: Array, A_i: Array, s: Array) -> Array:
