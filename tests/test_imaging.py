@@ -408,6 +408,18 @@ def test_a_stated_offset_counts_live_too(late_clip):
     assert (pair.index, pair.time, pair.skew) == (0, pytest.approx(0.006), pytest.approx(0.012))
 
 
+def test_what_is_not_stated_of_live_exposures_is_assumed(late_clip):
+    clip = load_clip(late_clip)
+    unknown = replace(clip, rig=replace(clip.rig, left=replace(clip.rig.left, readout=None)))
+    assumed = recorded_cameras.with_assumed_exposures(unknown, 0.1)
+    assert assumed.offset == Quantity(0.0, 0.05, "assumed") and assumed.rig.left.readout.source == "assumed"
+    stated = replace(
+        clip, offset=Quantity(0.012), rig=replace(clip.rig, left=replace(clip.rig.left, readout=EXACTLY_ZERO))
+    )
+    kept = recorded_cameras.with_assumed_exposures(stated, 0.1)
+    assert (kept.offset, kept.rig.left.readout) == (Quantity(0.012), EXACTLY_ZERO)
+
+
 @pytest.mark.parametrize(
     ("wrong", "problem"),
     [

@@ -32,6 +32,7 @@ from paceline.documents.loading import load_clip
 from paceline.recordings import live_stereo
 from paceline.recordings.live_stereo import LiveCamera, RawPair, _pairs
 from paceline.recordings.monocular import CameraFrame, CameraRecording
+from paceline.simulation.camera_errors import StereoErrors
 from paceline.simulation.stereo.clip import RenderedClip, Scene, Vehicle, World, render, write
 from paceline.simulation.stereo.scenery import StaticBackground
 from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration
@@ -155,9 +156,9 @@ def road(of: Scene, frames: int, seed: int) -> dict[str, list[NDArray[np.uint8]]
 
 
 @cache
-def traffic() -> RenderedClip:
-    """An empty road, two vehicles, an empty road, one vehicle, an empty road."""
-    first, second = render(scene(*TWO)), render(scene(*LATER))
+def traffic(right_late: float = 0.0) -> RenderedClip:
+    """An empty road, two vehicles, an empty road, one vehicle, an empty road; the right view so many s late."""
+    first, second = (render(scene(*v, errors=StereoErrors(offset=right_late))) for v in (TWO, LATER))
     gaps = [road(scene(*TWO), frames, seed) for seed, frames in enumerate((10, 4, 4))]
     pictures = {
         side: [*gaps[0][side], *getattr(first, side), *gaps[1][side], *getattr(second, side), *gaps[2][side]]
@@ -181,9 +182,11 @@ class Given:
     """Views that give these frames of the traffic, as fast as they are taken."""
 
     frames: list[int]
+    right_late: float = 0.0  # s, as rendered
+    interval: float = 1 / PLAYED
 
     def __iter__(self) -> Iterator[RawPair]:
-        clip = traffic()
+        clip = traffic(self.right_late)
         for k in self.frames:
             yield RawPair(k, float(clip.times[k]), clip.left[k], clip.right[k], 0.0)
 
@@ -219,6 +222,26 @@ def test_every_vehicle_is_measured_once(tmp_path: Path, frames: list[int]) -> No
         error = min(abs(speed - m.speed) for speed in SPEEDS)
         assert error < 2 * (m.speed_hi - m.speed)  # of three vehicles one may lie beyond its 95 %
         assert 4.0 <= found.times[0] < found.times[1] <= found.times[0] + 5.0  # never two vehicles as one
+
+
+@pytest.mark.slow
+def test_late_views_of_which_nothing_is_stated_are_told_by_the_vehicles(tmp_path: Path) -> None:
+    """The right one is 20 ms late as rendered. One vehicle alone hardly tells it, three do."""
+    file, passed = survey_file(tmp_path / "clip"), list[Measurement]()
+    document = yaml.safe_load(file.read_text(encoding="utf-8"))
+    document.pop("synchronised")
+    file.write_text(yaml.safe_dump(document), encoding="utf-8")
+
+    def on_result(found: DetectedVehicle, measurement: Measurement | None, reason: str) -> None:
+        assert measurement is not None, reason
+        passed.append(measurement)
+
+    views: Any = Given(ALL, 0.02)
+    survey(load_clip(file), views, CONFIGURATION, on_result)
+    assert [(m.verdict, m.calibrated_by) for m in passed] == [("measured", k) for k in (1, 2, 3)]
+    for m in passed:
+        assert min(abs(speed - m.speed) for speed in SPEEDS) < m.speed_hi - m.speed
+    assert passed[2].speed_hi - passed[2].speed < 0.2
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 from paceline.arrays import Array, Image, Indices
 from paceline.blas import on_one_blas_thread
-from paceline.cameras import VIEW_NAMES, Camera, Quantity, StereoRig
+from paceline.cameras import VIEW_NAMES, Quantity, StereoRig
 from paceline.documents.loading import Clip, VehicleDocument, require_same_part
 from paceline.errors import UnusableInput
 from paceline.imaging.camera_rotation import MIN_KNOWN_SHARE, CameraRotations, estimate_rotations, expected_rotations
@@ -182,7 +182,7 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     if lag:
         recorded, recording = recording, recording.with_lag(lag)
         clip = with_outlines_in_pairs(clip, recorded, recording)
-    rig = replace(clip.rig, left=with_readout(clip.rig.left), right=with_readout(clip.rig.right))
+    rig = with_readouts(clip.rig)
     rotations = estimate_rotations(recording, reference_frame(clip, recording, lag), progress)
     vectors = expected_rotations(rotations) if rotations.is_stationary else np.zeros_like(rotations.vectors)
     steady = recording.corrected(0.0, vectors if vectors.any() else None)
@@ -241,9 +241,18 @@ def expected_offset(estimate: Quantity | None, interval: float) -> Quantity:
     return Quantity(value, float(np.hypot(estimate.std, estimate.value - value)), "estimated")
 
 
-def with_readout(camera: Camera) -> Camera:
-    """A camera whose readout is assumed where it is not known."""
-    return camera if camera.readout is not None else replace(camera, readout=Quantity(0.0, READOUT_STD_S, "assumed"))
+def with_assumed_exposures(clip: Clip, interval: float) -> Clip:
+    """The clip of cameras of which nothing was estimated, at a frame ``interval`` (s): what it does not state of their
+    exposures is assumed."""
+    offset = clip.offset or expected_offset(None, interval)
+    return replace(clip, rig=with_readouts(clip.rig), offset=offset)
+
+
+def with_readouts(rig: StereoRig) -> StereoRig:
+    """A rig of cameras whose readouts are assumed where they are not known."""
+    assumed = Quantity(0.0, READOUT_STD_S, "assumed")
+    left, right = (replace(camera, readout=camera.readout or assumed) for camera in rig.cameras)
+    return replace(rig, left=left, right=right)
 
 
 def readout_difference_std(rig: StereoRig) -> float:

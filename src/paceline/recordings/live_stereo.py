@@ -86,6 +86,11 @@ class LiveStereo:
         return self._views[0].dropped
 
     @property
+    def interval(self) -> float:
+        """Seconds between two frames of the left view, of late."""
+        return self._views[0].interval
+
+    @property
     def notices(self) -> list[str]:
         """What a user should know about the sources, one plain line each."""
         messages = rig_notices(self._rig)

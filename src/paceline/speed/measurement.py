@@ -60,13 +60,27 @@ def measure(
     ``on_estimate`` is called with a vehicle and each of the filter's estimates. Raises UnusableInput; a DeviceFailure
     where ``device`` is ``cuda`` and fails.
     """
-    batch = TrackerBatch(open_device(device), fall_back_to_cpu=device == "auto")
-    begin = partial(VehicleMeasurement, batch=batch, on_estimate=on_estimate)
-    result = measure_each(clip, recording, configuration, begin, stage)
+    result = measure_separately(clip, recording, configuration, stage, device, on_estimate)
     exposures = estimate_exposures(result.measurements)
     jointly = calibrate_jointly(result.measurements, configuration)
     measurements = [acceptance.apply_tolerance(m, configuration.tolerance) for m in jointly]
-    return replace(result, measurements=measurements, notices=[*result.notices, *batch.notices], exposures=exposures)
+    return replace(result, measurements=measurements, exposures=exposures)
+
+
+@on_one_blas_thread
+def measure_separately(
+    clip: Clip,
+    recording: StereoFrames,
+    configuration: SpeedConfiguration,
+    stage: Stage = no_stage,
+    device: DeviceName = "cpu",
+    on_estimate: OnEstimate | None = None,
+) -> ClipResult:
+    """As `measure`, before vehicles are calibrated jointly and without a tolerance."""
+    batch = TrackerBatch(open_device(device), fall_back_to_cpu=device == "auto")
+    begin = partial(VehicleMeasurement, batch=batch, on_estimate=on_estimate)
+    result = measure_each(clip, recording, configuration, begin, stage)
+    return replace(result, notices=[*result.notices, *batch.notices])
 
 
 register(DEFAULT_METHOD, Method(measure, uses_gpu=True))

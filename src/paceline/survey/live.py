@@ -34,6 +34,7 @@ from paceline.detection.search import with_detected_lanes
 from paceline.detection.tracks import DetectionTrack
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
+from paceline.imaging.recorded_cameras import with_assumed_exposures
 from paceline.lanes.road_detection import RoadNotFound
 from paceline.recordings.background import Background, background_from, background_problem
 from paceline.recordings.live_stereo import LiveStereo, RawPair, undistort_pair
@@ -41,7 +42,7 @@ from paceline.recordings.stereo import StereoFrame
 from paceline.speed.acceptance import apply_tolerance
 from paceline.speed.configuration import BackgroundSettings, SpeedConfiguration
 from paceline.speed.joint_calibration import with_neighbours
-from paceline.speed.measurement import measure, require_two_views
+from paceline.speed.measurement import measure_separately, require_two_views
 from paceline.speed.passage import with_passage
 from paceline.speed.results import Measurement
 from paceline.verdicts import Message, message
@@ -130,6 +131,7 @@ def survey(
     else:
         model.update(_first_frame(clip, pairs))
     on_ready(len(clip.paths))
+    clip = with_assumed_exposures(clip, views.interval)
     finder = VehicleFinder(lane_paths_of(clip, configuration.line_sigma), model, configuration)
     buffer: deque[RawPair] = deque(maxlen=configuration.live.buffer_pairs)
 
@@ -314,5 +316,5 @@ def subsample(pairs: list[RawPair], max_pairs: int) -> list[RawPair]:
 
 @on_one_blas_thread
 def _measure(clip: Clip, pairs: list[RawPair], rows: slice, configuration: SpeedConfiguration) -> Measurement:
-    result = measure(clip, BufferedRecording(clip, pairs, rows), configuration)
+    result = measure_separately(clip, BufferedRecording(clip, pairs, rows), configuration)
     return with_passage(result.measurements[0], clip, result.paths)
