@@ -23,6 +23,7 @@ from paceline.imaging.camera_rotation import (
     CameraRotations,
     ReferenceView,
     expected_rotations,
+    exposure_change,
     fit_rotation,
     rotation_jacobian,
 )
@@ -102,6 +103,32 @@ def test_pictures_of_a_turned_camera_are_turned_back(camera):
         vector, covariance, share = ReferenceView(camera, still).rotation_in(seen)
         assert share > 0.8
         np.testing.assert_allclose(vector, rotation, atol=4 * np.sqrt(np.diag(covariance)).max())
+
+
+@pytest.mark.parametrize("brighter", [0.94, 1.06])
+def test_a_change_of_exposure_is_no_rotation(brighter):
+    """Between a bright sky and a dark ground, whose edges darken all in one direction."""
+    rng = np.random.default_rng(4)
+    still = cv2.GaussianBlur(rng.uniform(-1, 1, (768, 1024)).astype(np.float32), (0, 0), 3)
+    still = 150 + 30 * still / still.std() - 40 * np.linspace(0, 1, 1024, dtype=np.float32)
+    vector = ReferenceView(CAMERA, still).rotation_in(brighter * still + 2.0)[0]
+    assert np.abs(vector[:2] * CAMERA.K[0, 0]).max() < 0.003  # px
+
+
+@given(st.floats(0.8, 1.25), st.floats(-10, 10), st.integers(0, 100))
+def test_a_change_of_exposure_is_found_beside_what_moves(gain, level, seed):
+    rng = np.random.default_rng(seed)
+    before = rng.uniform(20, 200, 3000)
+    after = gain * before + level + rng.normal(0, 1.0, 3000)
+    after[:600] = rng.uniform(0, 255, 600)
+    found = exposure_change(before, after)
+    assert found == (pytest.approx(gain, abs=0.005), pytest.approx(level, abs=0.5))
+
+
+@pytest.mark.parametrize("level", [0.0, 255.0])
+def test_a_picture_that_shows_nothing_tells_no_rotation(level):
+    still = cv2.GaussianBlur(np.random.default_rng(4).uniform(0, 255, (768, 1024)).astype(np.float32), (0, 0), 3)
+    assert ReferenceView(CAMERA, still).rotation_in(np.full_like(still, level))[2] == 0.0
 
 
 def rotations_of(vectors: np.ndarray, std: float) -> CameraRotations:

@@ -37,6 +37,10 @@ COMMON_MOTION_PX = 0.01
 SAMPLED_FRAMES = 60  # frames of a long recording that are looked at first
 MIN_LOG_ODDS = 3.0  # of a camera that turns over one that does not
 ROTATION_FIT_STEPS = 20
+EXPOSURE_REDUCTION = 8  # of pictures of which exposures are compared
+EXPOSURE_FIT_STEPS = 5
+MIN_EXPOSURE_RESIDUAL = 0.5  # grey levels
+MIN_EXPOSURE_GAIN = 0.05  # of a picture that shows the same as another
 CONVERGED_STEP_RAD = 1e-9
 
 
@@ -69,6 +73,7 @@ class ReferenceView:
 
     def __init__(self, camera: Camera, image: Image) -> None:
         self.camera, self.image = camera, to_8_bit(image)
+        self._reduced = reduced_for_exposure(image)
         corners = cv2.goodFeaturesToTrack(
             self.image, MAX_STATIC_CORNERS, STATIC_CORNER_QUALITY, CORNER_DISTANCE_PX, blockSize=7
         )
@@ -79,13 +84,35 @@ class ReferenceView:
         if len(self.corners) < MIN_STATIC_CORNERS:
             return np.zeros(3), np.eye(3), 0.0
         limits = TRACKING_LEVELS, TRACKING_PRECISION_PX, MAX_CORNER_RETURN_PX
-        tracked, found = track_forth_and_back(self.image, to_8_bit(image), self.corners, self.corners, *limits)
+        gain, level = exposure_change(self._reduced, reduced_for_exposure(image))
+        if gain < MIN_EXPOSURE_GAIN:
+            return np.zeros(3), np.eye(3), 0.0
+        alike = to_8_bit((image - level) / gain)
+        tracked, found = track_forth_and_back(self.image, alike, self.corners, self.corners, *limits)
         if found.sum() < MIN_STATIC_CORNERS:
             return np.zeros(3), np.eye(3), 0.0
         before, after = self.corners[found], tracked[found]
         vector, covariance, _ = fit_rotation(self.camera, before, after)
         distance = np.linalg.norm(after - self.camera.turned(before, vector), axis=1)
         return vector, covariance, float((distance < MAX_STATIC_RESIDUAL_PX).mean())
+
+
+def reduced_for_exposure(image: Image) -> Array:
+    """The grey levels (N,) of an ``image`` (H, W) reduced so far that a turn of some pixels changes little of them."""
+    size = tuple(max(n // EXPOSURE_REDUCTION, 1) for n in image.shape[::-1])
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), float).ravel()
+
+
+def exposure_change(before: Array, after: Array) -> tuple[float, float]:
+    """The gain and the level (grey levels) by which most of the pixels ``after`` (N,) are those ``before`` (N,): a
+    robust line (Tukey's weights). Lucas–Kanade takes a change of exposure for a motion, which all corners share."""
+    X = np.column_stack([before, np.ones(len(before))])
+    line, weights = np.array([1.0, 0.0]), np.ones(len(before))
+    for _ in range(EXPOSURE_FIT_STEPS):
+        residual = np.abs(after - X @ line)
+        weights = tukey_weights(residual, max(1.4826 * float(np.median(residual)), MIN_EXPOSURE_RESIDUAL))
+        line = np.linalg.lstsq(X * np.sqrt(weights)[:, None], after * np.sqrt(weights), rcond=None)[0]
+    return float(line[0]), float(line[1])
 
 
 def estimate_rotations(
