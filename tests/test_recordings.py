@@ -17,9 +17,10 @@ from paceline.cameras import Camera, StereoRig
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
 from paceline.recordings import image_sources
-from paceline.recordings.image_sources import KeptImages, open_source, read_image_file
+from paceline.recordings.image_sources import KeptImages, VideoFile, open_source, read_image_file
 from paceline.recordings.stereo import open_recording, pair_by_time
 from paceline.recordings.time_stamps import longest_increasing_subsequence
+from paceline.simulation.video import write_h264
 
 W, H = 64, 48
 K = np.array([[100.0, 0, 31.5], [0, 100.0, 23.5], [0, 0, 1]])
@@ -554,6 +555,38 @@ def test_videos_that_lost_different_frames_are_matched_by_time():
         "left: frame 2 is left out, without a right frame within 25 ms",
         "right: frame 2 is left out, without a left frame within 25 ms",
     ]
+
+
+def test_selected_frames_are_decoded_from_the_key_frames_before_them(monkeypatch):
+    for side in ("left", "right"):
+        pictures = [np.full((H, W), 10 + 2 * i, np.uint8) for i in range(60)]
+        write_h264(Path(f"{side}.mp4"), pictures, [0.1 * i for i in range(60)], 20, streamed=True)
+    recording = open_recording(clip("left.mp4", "right.mp4"))
+    monkeypatch.setattr(image_sources, "MAX_KEPT_BYTES", 0)
+    every = {f.index: f for f in recording.frames()}
+    decoded, decode = [], VideoFile._decode
+
+    def counted(self, start=None):
+        for image in decode(self, start):
+            decoded.append(image.pts)
+            yield image
+
+    monkeypatch.setattr(VideoFile, "_decode", counted)
+    chosen = np.array([3, 4, 52])
+    selected = list(recording.selected(chosen))
+    assert [f.index for f in selected] == chosen.tolist()
+    for f in selected:
+        assert np.array_equal(f.left, every[f.index].left) and f.time == every[f.index].time and not f.duplicate
+    with av.open("left.mp4") as container:
+        keys = [n for n, packet in enumerate(container.demux(video=0)) if packet.is_keyframe and n <= 51]
+    assert len(keys) > 2 and len(decoded) == 2 * (5 + 52 - keys[-1] + 1)
+
+
+def test_a_selected_frame_that_repeats_the_one_before_is_noticed():
+    for side in ("left", "right"):
+        write_video(f"{side}.mkv", range(0, 600, 100), [picture(i) for i in (0, 1, 2, 2, 1, 5)])
+    recording = open_recording(clip("left.mkv", "right.mkv"))
+    assert [f.duplicate for f in recording.selected(np.array([1, 3, 4]))] == [False, True, False]
 
 
 def test_sixteen_bit_and_colour_video():

@@ -129,9 +129,8 @@ def estimate_rotations(
     ]
     count = len(recording)
     if count > SAMPLED_FRAMES:
-        sample = np.linspace(0, count - 1, SAMPLED_FRAMES).round().astype(np.int64)
-        frames = (f for k in recording.indices[sample].tolist() for f in recording.frames(k, k + 1))
-        sampled = _rotations_in(frames, views, recording.indices[sample], progress)
+        sample = recording.indices[np.linspace(0, count - 1, SAMPLED_FRAMES).round().astype(np.int64)]
+        sampled = _rotations_in(recording.selected(sample), views, sample, progress)
         if not (sampled.is_stationary and expected_rotations(sampled).any()):
             still = np.zeros((count, 2, 3))
             share = np.broadcast_to(np.median(sampled.static_share, axis=0), (count, 2))

@@ -89,8 +89,8 @@ class InstantFeatures:
 def match_static(recording: StereoRecording) -> Matches:
     """Matches between the views where nothing moves in the first of the `instants` of ``recording``; features are
     detected in the reduced pictures."""
-    for triple in instants(recording).tolist():
-        frames = [f for number in triple for f in recording.frames(number, number + 1)]
+    for triple in instants(recording):
+        frames = list(recording.selected(triple))
         if len(frames) == 3:
             break
     else:

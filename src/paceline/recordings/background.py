@@ -45,14 +45,12 @@ def estimate_background(recording: StereoRecording, max_frames: int, progress: P
     """
     chosen = np.unique(np.linspace(0, len(recording) - 1, min(max_frames, len(recording))).round().astype(int))
     stacks: tuple[list[NDArray[np.float16]], list[NDArray[np.float16]]] = [], []
-    for n_done, k in enumerate(chosen, 1):
-        frame_index = int(recording.indices[k])
-        for frame in recording.frames(frame_index, frame_index + 1):
-            if not frame.duplicate:
-                stacks[0].append(frame.left.astype(np.float16))
-                stacks[1].append(frame.right.astype(np.float16))
+    for done, frame in enumerate(recording.selected(recording.indices[chosen]), 1):
+        if not frame.duplicate:
+            stacks[0].append(frame.left.astype(np.float16))
+            stacks[1].append(frame.right.astype(np.float16))
         if progress:
-            progress(n_done, len(chosen))
+            progress(done, len(chosen))
     return background_from(*stacks)
 
 

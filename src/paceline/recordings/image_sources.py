@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -155,6 +156,7 @@ class VideoFile:
         self._seekable = True  # to key frames; not where only the decoder gives time stamps
         self._threads = "SLICE"  # frame-parallel decoding loses a varying number of frames at a damaged end
         self._is_timed = True
+        self._key_stamps: list[int] = []  # time stamps of key frames to which can be seeked
         self._pts, time_base = self._scan(stamps_matter=rate is None)
         self.times: Array | None = np.array([float(p * time_base) for p in self._pts]) if self._is_timed else None
         if rate is not None:
@@ -174,6 +176,17 @@ class VideoFile:
         return f"{self.name}: frame {frame}"
 
     def read(self, frames: Sequence[int]) -> Iterator[Image | None]:
+        for span in self._spans(frames):
+            yield from self._read_span(span)
+
+    def _spans(self, frames: Sequence[int]) -> Iterator[Sequence[int]]:
+        """Parts of ``frames`` between which all pictures from one key frame to another can be left out."""
+        before = np.searchsorted(self._key_stamps, [self._pts[f] for f in frames], "right")  # key frames until each
+        starts = [0, *(np.flatnonzero(np.diff(before) > 1) + 1).tolist(), len(frames)]
+        for start, stop in pairwise(starts):
+            yield frames[start:stop]
+
+    def _read_span(self, frames: Sequence[int]) -> Iterator[Image | None]:
         frame_by_pts = {self._pts[f]: f for f in frames}
         order = list(frames)
         for picture in self._decode_from(order[0] if order else 0):
@@ -232,18 +245,18 @@ class VideoFile:
                     raise UnusableInput(f"{self.name}: holds no video")
                 stream = container.streams.video[0]
                 self._is_timed = Flags.no_timestamps not in Flags(container.format.flags)  # else FFmpeg invents them
-                pts, key, cut, unordered = _packets(container, stream)
+                pts, keys, cut, unordered = _packets(container, stream)
                 time_base = stream.time_base or Fraction(1, av.time_base)
                 stated_end = _stated_end(container, stream)
         except av.FFmpegError as error:
             raise UnusableInput(f"{self.name}: cannot be read as a video ({error.strerror})") from error
         if self._is_timed and None in pts:  # the container numbers its packets only; the decoder may know better
-            pts, key = [picture.pts for picture in self._decode()], None
+            pts, keys = [picture.pts for picture in self._decode()], []
             self._seekable, self._is_timed = False, None not in pts
         self._is_timed &= stamps_matter or not unordered and len(set(pts)) == len(pts)  # else they tell no frames apart
         if not self._is_timed:
             packets = len(pts) + unordered
-            self._seekable, time_base, key, stated_end, unordered = False, Fraction(1), None, None, 0
+            self._seekable, time_base, keys, stated_end, unordered = False, Fraction(1), [], None, 0
             pts = [picture.pts for picture in self._decode()]
             if len(pts) < packets:
                 raise UnusableInput(
@@ -254,13 +267,15 @@ class VideoFile:
         if left_out := unordered + len(pts) - len(stamps):
             self._seekable = False  # there may be several places of one time stamp
             self.notices.append(message("frames_restamped", video=self.name, frames=plural(left_out, "frame")))
-        if key is not None:
-            decodable = {picture.pts for picture in self._decode(key if self._seekable else None)}
-            if key not in decodable:  # not every container can be seeked to a key frame
+        if keys:
+            decodable = {picture.pts for picture in self._decode(keys[-1] if self._seekable else None)}
+            if keys[-1] not in decodable:  # not every container can be seeked to a key frame
                 decodable = {picture.pts for picture in self._decode()}
             last = max((p for p in decodable if p is not None), default=stamps[0] - 1)
             cut = cut or stamps[-1] > last
             stamps = [p for p in stamps if p <= last]
+        if self._seekable:
+            self._key_stamps = sorted(keys)
         if len(stamps) < 2:
             raise UnusableInput(f"{self.name}: fewer than two frames can be decoded")
         end = float(stamps[-1] * time_base)
@@ -281,8 +296,8 @@ class VideoFile:
 
 def _packets(
     container: av.container.InputContainer, stream: av.VideoStream
-) -> tuple[list[int | None], int | None, bool, int]:
-    """The packets' presentation time stamps, that of the last key frame, whether the packets end too early, and how
+) -> tuple[list[int | None], list[int], bool, int]:
+    """The packets' presentation time stamps, those of key frames, whether the packets end too early, and how
     many are left out because they are out of order."""
     pts: list[int | None] = []
     dts: list[int | None] = []
@@ -298,8 +313,8 @@ def _packets(
         cut = True
     selection = _in_order(pts, dts)
     ordered = [p for p, is_ordered in zip(pts, selection, strict=True) if is_ordered]
-    keys = [p for p, *chosen in zip(pts, selection, key_frames, strict=True) if all(chosen)]
-    return ordered, keys[-1] if keys else None, cut or len(pts) < stream.frames, len(pts) - len(ordered)
+    keys = [p for p, *chosen in zip(pts, selection, key_frames, strict=True) if all(chosen) and p is not None]
+    return ordered, keys, cut or len(pts) < stream.frames, len(pts) - len(ordered)
 
 
 def _in_order(pts: list[int | None], dts: list[int | None]) -> list[bool]:

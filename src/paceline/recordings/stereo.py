@@ -205,9 +205,18 @@ class StereoRecording:
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[StereoFrame]:
         """The frames with ``start`` ≤ index < ``stop``. Raises UnusableInput, naming the file, for one that is bad."""
-        first = int(np.searchsorted(self.indices, start))
         last = len(self) if stop is None else int(np.searchsorted(self.indices, stop))
-        chosen = range(max(first - 1, 0), last)  # one earlier, to recognise a first frame that is a copy
+        return self._frames_at(range(int(np.searchsorted(self.indices, start)), last))
+
+    def selected(self, indices: Indices) -> Iterator[StereoFrame]:
+        """The frames with these ``indices`` (N,), increasing, in one pass that decodes no more than it has to. Raises
+        UnusableInput as `frames`."""
+        return self._frames_at(np.searchsorted(self.indices, indices).tolist())
+
+    def _frames_at(self, places: Sequence[int]) -> Iterator[StereoFrame]:
+        """The frames at these ``places``, increasing, among the pairs."""
+        selection = set(places)
+        chosen = sorted(selection | {place - 1 for place in places if place})  # earlier ones, to recognise copies
         numbers = self.pairing.left[chosen].tolist(), self.pairing.right[chosen].tolist()
         previous: list[Image | None] = [None, None]
         views = [source.read(view_numbers) for source, view_numbers in zip(self._sources, numbers, strict=True)]
@@ -219,13 +228,13 @@ class StereoRecording:
                     self._damaged[side].add(frame)
                     continue
                 self._check_size(side, frame, image)
-                if _is_copy(image, previous[side]):
-                    self._repeated[side].add(frame)
-                    duplicate = True
-                previous[side] = image
-                if k >= first:
+                if k in selection:
+                    if _is_copy(image, previous[side]):
+                        self._repeated[side].add(frame)
+                        duplicate = True
                     rotation = None if self.rotations is None else self.rotations[k, side]
                     ideal.append(self.rig.cameras[side].undistort_image(image, rotation=rotation))
+                previous[side] = image
             if len(ideal) == 2:
                 time, skew = float(self.times[k]), float(self.skews[k])
                 yield StereoFrame(numbers[0][i], time, ideal[0], ideal[1], skew, duplicate)

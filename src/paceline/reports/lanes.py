@@ -19,7 +19,7 @@ from paceline.reports.common.drawing import (
     Picture,
     draw_label,
     draw_line,
-    to_fixed_point,
+    fixed_points,
 )
 from paceline.units import COVERAGE_95
 
@@ -75,7 +75,7 @@ def _draw_band(picture: Picture, rig: StereoRig, side: int, line: RoadLine, colo
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     shift = COVERAGE_95 * line.lateral_std[:, None] * across
     edges = [rig.project(line.points + sign * shift)[side] for sign in (-1, 1)]
-    polygon = np.array([to_fixed_point(p) for p in np.concatenate([edges[0], edges[1][::-1]])], np.int32)
+    polygon = fixed_points(np.concatenate([edges[0], edges[1][::-1]]))
     shade = picture.copy()
     cv2.fillPoly(shade, [polygon], color, cv2.LINE_AA, SUBPIXEL_BITS)
     cv2.addWeighted(shade, 0.35, picture, 0.65, 0, picture)

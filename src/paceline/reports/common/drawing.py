@@ -52,7 +52,7 @@ def draw_label(
 
 def draw_outline(picture: Picture, corners: Array, color: Color, thickness: int) -> None:
     """Draws a closed polygon (N, 2) of finite points, with a dark edge."""
-    outline = [np.array([to_fixed_point(corner) for corner in corners], np.int32)]
+    outline = [fixed_points(corners)]
     cv2.polylines(picture, outline, True, DARK_BGR, thickness + 2, cv2.LINE_AA, SUBPIXEL_BITS)
     cv2.polylines(picture, outline, True, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
 
@@ -60,15 +60,15 @@ def draw_outline(picture: Picture, corners: Array, color: Color, thickness: int)
 def draw_line(picture: Picture, start: Array, stop: Array, color: Color, thickness: int = 1) -> None:
     """Draws a line between two points (2,) of the picture; nothing where one is not finite."""
     if np.isfinite([start, stop]).all():
-        a, b = to_fixed_point(start), to_fixed_point(stop)
-        cv2.line(picture, (a[0], a[1]), (b[0], b[1]), color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
+        a, b = fixed_points(np.stack([start, stop])).tolist()
+        cv2.line(picture, a, b, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def draw_dots(picture: Picture, points: Array, color: Color, radius: float) -> None:
     """Draws filled circles at ``points`` (M, 2), except those that are not finite."""
-    for point in points[np.isfinite(points).all(axis=1)]:
-        x, y = to_fixed_point(point)
-        cv2.circle(picture, (x, y), round(radius * (1 << SUBPIXEL_BITS)), color, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
+    size = round(radius * (1 << SUBPIXEL_BITS))
+    for centre in fixed_points(points[np.isfinite(points).all(axis=1)]).tolist():
+        cv2.circle(picture, centre, size, color, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def scale_points(points: Array, scale: float) -> Array:
@@ -76,7 +76,6 @@ def scale_points(points: Array, scale: float) -> Array:
     return (points + 0.5) * scale - 0.5
 
 
-def to_fixed_point(point: Array) -> tuple[int, int]:
-    """A finite point (2,) in OpenCV's fixed-point coordinates, SUBPIXEL_BITS fractional bits."""
-    x, y = np.clip(point, -1e5, 1e5) * (1 << SUBPIXEL_BITS)
-    return round(float(x)), round(float(y))
+def fixed_points(points: Array) -> NDArray[np.int32]:
+    """Finite ``points`` (N, 2) in OpenCV's fixed-point coordinates, SUBPIXEL_BITS fractional bits."""
+    return np.rint(np.clip(points, -1e5, 1e5) * (1 << SUBPIXEL_BITS)).astype(np.int32)
