@@ -180,10 +180,11 @@ def test_units_and_overlay_are_settings_and_options_win(small_clip: Path, tmp_pa
     done = command("speed", small_clip, "-o", tmp_path / "out", "--config", written(tmp_path, text))
     assert "speed, m/s" in done.stdout
     assert not (tmp_path / "out" / "overlay.mp4").exists() and (tmp_path / "out" / "report.html").exists()
-    assert summary_of(tmp_path / "out")["configuration"]["report"] == {"units": "m/s", "overlay": False}
-    options = ["--units", "km/h", "--max-half-width", "3.6"]
+    assert summary_of(tmp_path / "out")["configuration"]["report"] == {"units": "m/s", "overlay": "none"}
+    options = ["--overlay", "all", "--units", "km/h", "--max-half-width", "3.6"]
     done = command("speed", small_clip, "-o", tmp_path / "again", *options, "--config", tmp_path / "settings.yaml")
     c = summary_of(tmp_path / "again")["configuration"]
+    assert (tmp_path / "again" / "overlay.mp4").exists()
     assert "speed, km/h" in done.stdout and c["report"]["units"] == "km/h" and c["tolerance"] == 1.0
 
 

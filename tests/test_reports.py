@@ -13,7 +13,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 from selection import slow_after
 
+from paceline.arrays import Indices
 from paceline.errors import UnusableInput
 from paceline.number_format import align_decimals, format_half_width, format_interval, format_uncertain
 from paceline.recordings.stereo import StereoFrame
@@ -56,6 +57,13 @@ class Recording:
 
     def __len__(self) -> int:
         return FRAMES
+
+    @property
+    def indices(self) -> Indices:
+        return np.arange(FRAMES)
+
+    def selected(self, indices: Indices) -> Iterator[StereoFrame]:
+        return (frame for frame in self if frame.index in indices)
 
     def __iter__(self) -> Iterator[StereoFrame]:
         ramp = np.linspace(40, 200, 320, dtype=np.float32)
@@ -289,7 +297,7 @@ def test_the_speed_of_a_frame_has_the_coverage_factor_of_the_mean() -> None:
 
 
 def test_without_an_overlay_the_report_has_its_stills_and_no_link(out: Path, tmp_path: Path) -> None:
-    write_report(clip_result(), Recording(), tmp_path / "out", "mph", overlay=False)
+    write_report(clip_result(), Recording(), tmp_path / "out", "mph", overlay="none")
     assert not (tmp_path / "out" / "overlay.mp4").exists()
     page, with_video = ((folder / "report.html").read_text(encoding="utf-8") for folder in (tmp_path / "out", out))
     assert "overlay.mp4" in with_video and "overlay.mp4" not in page and "overlay video" not in page
@@ -329,6 +337,35 @@ def test_overlay_plays_with_the_recordings_times(out: Path) -> None:
     picture = frames[6].to_ndarray(format="rgb24").astype(int)
     blue = (picture[..., 2] - picture[..., 0] > 60).sum()
     assert blue > 100, "the first vehicle's outline is blue"
+
+
+@pytest.mark.usefixtures("unrendered_plots")
+def test_the_overlay_can_show_the_rejected_vehicles_only(result: ClipResult, out: Path, tmp_path: Path) -> None:
+    """Their frames follow each other without those in between."""
+    late, frames = rejected("late"), [1, 2, 6, 7]
+    arrays = {f.name: v[frames] for f in fields(Track) if isinstance(v := getattr(track("late"), f.name), np.ndarray)}
+    few = replace(late, track=replace(track("late"), status=["tracking"] * len(frames), **arrays))
+    some = replace(result, measurements=[measured("v0"), few])
+    write_report(some, Recording(), tmp_path / "some", overlay="rejected")
+    with av.open(str(tmp_path / "some" / "overlay.mp4")) as container:
+        times = [float(frame.pts * frame.time_base) for frame in container.decode(video=0)]
+    np.testing.assert_allclose(times, [0.0, 0.2, 0.4, 0.6], atol=1e-4)
+    pictures = [(folder / "pictures" / "v0.jpg").read_bytes() for folder in (tmp_path / "some", out)]
+    assert pictures[0] == pictures[1]
+    write_report(replace(some, measurements=[measured("v0")]), Recording(), tmp_path / "none", overlay="rejected")
+    assert not (tmp_path / "none" / "overlay.mp4").exists()
+
+
+@pytest.mark.usefixtures("unrendered_plots")
+def test_a_long_recording_has_an_overlay_on_request_only(result: ClipResult, tmp_path: Path) -> None:
+    class Long(Recording):
+        times = 100.0 * Recording.times
+
+    write_report(result, Long(), tmp_path / "none")
+    write_report(result, Long(), tmp_path / "all", overlay="all")
+    assert [(tmp_path / name / "overlay.mp4").exists() for name in ("none", "all")] == [False, True]
+    page = (tmp_path / "none" / "report.html").read_text(encoding="utf-8")
+    assert "--overlay all" in page and page.count('src="data:image/jpeg') > 0
 
 
 @pytest.mark.slow
@@ -399,13 +436,13 @@ def test_frames_in_which_the_vehicle_is_hidden_do_not_count_and_are_marked(resul
     m = measured("v0")
     m = replace(m, frames=7, outline_offset=0.031, track=replace(m.track, hidden=hidden))
     some = replace(result, measurements=[m])
-    write_report(some, Recording(), tmp_path / "out", "mph", overlay=False)
+    write_report(some, Recording(), tmp_path / "out", "mph", overlay="none")
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "7, over" in page and "; hidden in 3 more frames" in page and "is 0.03 px (RMS) from" in page
     assert page.count("<td>hidden</td>") == 3 and "left image, frame 1" in page and "left image, frame 0" not in page
     assert format_label(m, "hidden", "mph") == "v0  hidden"
     m = replace(m, outline_offset=NAN)
-    write_report(replace(result, measurements=[m]), Recording(), tmp_path / "out", "mph", overlay=False)
+    write_report(replace(result, measurements=[m]), Recording(), tmp_path / "out", "mph", overlay="none")
     assert "look whether it does" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
@@ -470,7 +507,7 @@ def test_page_tells_what_the_systematic_part_rests_on(result: ClipResult, tmp_pa
             "There is no systematic part: the interval is valid only",
         ),
     ):
-        write_report(replace(result, measurements=[m]), Recording(), tmp_path / name, overlay=False)
+        write_report(replace(result, measurements=[m]), Recording(), tmp_path / name, overlay="none")
         assert said in " ".join(Page((tmp_path / name / "report.html").read_text()).text.split())
 
 

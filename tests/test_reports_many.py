@@ -39,7 +39,7 @@ def many() -> ClipResult:
 
 @pytest.fixture
 def page(tmp_path: Path, unrendered_plots: None) -> Path:
-    write_report(many(), Recording(), tmp_path / "out", "mph", overlay=False)
+    write_report(many(), Recording(), tmp_path / "out", "mph", overlay="none")
     return tmp_path / "out" / "report.html"
 
 

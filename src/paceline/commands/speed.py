@@ -12,7 +12,7 @@ from paceline.commands import file_named, print_columns
 from paceline.commands.progress_output import progress_bar, speed_line_writer
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
-from paceline.speed.choices import DeviceName, Motion
+from paceline.speed.choices import DeviceName, Motion, OverlayChoice
 
 if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once
     from contextlib import AbstractContextManager
@@ -92,6 +92,13 @@ def speed(
         Path | None,
         typer.Option(metavar="MODEL.onnx", help="A detector of your own, in whose boxes vehicles are detected."),
     ] = None,
+    overlay: Annotated[
+        OverlayChoice | None,
+        typer.Option(
+            help="Frames in the overlay video; rejected: those with a rejected vehicle; auto: all up to a minute.",
+            show_default="auto",
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Measure the speed of every vehicle in a stereo clip: those that it outlines, or else those detected in it."""
@@ -105,6 +112,7 @@ def speed(
         "refine": refine,
         "background.seconds": learn,
         "report.units": None if units is None else unit_named(units),
+        "report.overlay": overlay,
     }
     settings = _settings(config, {key: value for key, value in given.items() if value is not None})
     if tolerance is not None:

@@ -7,6 +7,7 @@ from typing import Literal
 
 Motion = Literal["auto", "free", "line", "curve"]
 DeviceName = Literal["auto", "cpu", "cuda"]
+OverlayChoice = Literal["auto", "all", "rejected", "none"]
 
 RESAMPLING_MODULE = "paceline.speed.filter.resampling"  # registers the schemes; loaded when their names are needed
 

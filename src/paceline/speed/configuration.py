@@ -17,7 +17,7 @@ from pydantic_core import PydanticKnownError
 
 from paceline.documents.models import KnownKeys, Text, read_document
 from paceline.recordings.background import MIN_FRAMES
-from paceline.speed.choices import DeviceName, Motion, resampling_schemes
+from paceline.speed.choices import DeviceName, Motion, OverlayChoice, resampling_schemes
 from paceline.units import SpeedUnit, parse_unit
 
 MAX_BACKGROUND_S = 3600
@@ -33,6 +33,11 @@ def _pair(value: Any) -> tuple[float, float]:
     if not (0 < first < float("inf") and 0 < second < float("inf")):
         raise ValueError(f"expected {PAIR_WORDS}")
     return first, second
+
+
+def _overlay_choice(value: Any) -> Any:
+    """It was a switch in earlier versions."""
+    return {True: "all", False: "none"}[value] if isinstance(value, bool) else value
 
 
 def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
@@ -213,7 +218,11 @@ class ReportSettings(Section):
     """What people are shown. Tables and summary.json are in SI units."""
 
     units: Unit = Field(SpeedUnit.MPH, description="unit of the speeds in terminal, report and overlay")
-    overlay: bool = Field(True, description="write the overlay video; off: much of the time is saved, stills remain")
+    overlay: Annotated[OverlayChoice, BeforeValidator(_overlay_choice)] = Field(
+        "auto",
+        description="frames in the overlay video: all, those with a `rejected` vehicle, or none; `auto`: all of a "
+        "recording of up to a minute, none of a longer one",
+    )
 
 
 class SpeedConfiguration(Section):

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from paceline.arrays import Array, to_8_bit
+from paceline.arrays import Array, Indices, to_8_bit
 from paceline.number_format import NO_VALUE
 from paceline.progress import Progress, with_progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording
@@ -31,10 +31,12 @@ from paceline.reports.common.drawing import (
 from paceline.reports.common.formatting import format_compliance, format_measurement
 from paceline.reports.common.plots import lane_color
 from paceline.reports.common.video import VideoWriter, pad_to_even
+from paceline.speed.choices import OverlayChoice
 from paceline.speed.results import ClipResult, Measurement, Track
 
 Grey = NDArray[np.uint8]  # (H, W)
 
+MAX_OVERLAY_S = 60.0  # of a recording, up to which all of it is in the video unless stated otherwise
 MAX_VIDEO_WIDTH_PX = 1920
 VIEWS_HEADER_HEIGHT_PX = 40  # of the strip above the views
 
@@ -72,50 +74,70 @@ def join_stills(stills: Sequence[StereoStill]) -> bytes:
 
 @dataclass
 class Overlay:
-    """What `write_overlay` returns: stills by vehicle, and notices about the video."""
+    """What `write_overlay` returns: stills by vehicle, whether there is a video, and notices about it."""
 
     stills: dict[str, list[StereoStill]]
+    has_video: bool
     notices: list[str] = field(default_factory=list)
 
 
 def write_overlay(
     result: ClipResult,
     recording: StereoRecording,
-    file: Path | None,
+    file: Path,
     unit: str,
     colors: dict[str, str],
+    choice: OverlayChoice,
     progress: Progress | None = None,
 ) -> Overlay:
-    """Writes the overlay video in one pass over ``recording``, unless ``file`` is None, and returns a few stills of
-    every vehicle.
+    """Writes the overlay video in one pass over ``recording``, and returns a few stills of every vehicle.
 
-    The frames keep the recording's presentation times. ``colors`` gives each vehicle's colour as ``#rrggbb``. A notice
-    is given where no H.264 encoder is available and the video is MPEG-4 instead.
+    The video has the frames of this ``choice``; where these are none, no ``file`` is written, and only the frames of
+    the stills are read. They keep the recording's presentation times, without the time of those that are left out.
+    ``colors`` gives each vehicle's colour as ``#rrggbb``. A notice is given where no H.264 encoder is available and the
+    video is MPEG-4 instead.
     """
     layers = [_Layer(m, _parse_color(colors[m.vehicle])) for m in result.measurements]
-    overlay = Overlay({layer.track.vehicle: [] for layer in layers})
-    last_still = max((int(layer.track.frame[row]) for layer in layers for row in layer.still_rows), default=-1)
     recording = recording.with_lag(result.lag) if result.lag else recording
-    with nullcontext() if file is None else _video(file, np.asarray(recording.times, float)) as video:
-        for frame in with_progress(recording, len(recording), progress):
-            if video is None and frame.index > last_still:
-                break
+    if choice == "auto":
+        choice = "all" if np.ptp(recording.times) <= MAX_OVERLAY_S else "none"
+    times = _video_times(recording, _frames_in_video(recording, layers, choice))
+    overlay = Overlay({layer.track.vehicle: [] for layer in layers}, has_video=bool(times))
+    stills = [frame for layer in layers for frame in layer.track.frame[sorted(layer.still_rows)].tolist()]
+    frames = np.intersect1d(recording.indices, [*times, *stills])
+    with VideoWriter(file, _usual_step(recording.times)) if times else nullcontext() as video:
+        for frame in with_progress(recording.selected(frames), len(frames), progress):
             views = to_8_bit(frame.left), to_8_bit(frame.right)
             for layer in layers:
                 row = layer.rows.get(frame.index)
                 if row is not None and row in layer.still_rows:
                     overlay.stills[layer.track.vehicle].append(_crop_still(views, layer, row, frame.time))
-            if video is not None:
-                video.add(_draw(result, layers, frame, views, unit), frame.time)
+            if video is not None and frame.index in times:
+                video.add(_draw(result, layers, frame, views, unit), times[frame.index])
     if video is not None:
         overlay.notices += video.notices
     return overlay
 
 
-def _video(file: Path, times: Array) -> VideoWriter:
-    """The writer of a video of frames at ``times`` (N,) s."""
+def _frames_in_video(recording: StereoRecording, layers: Sequence[_Layer], choice: OverlayChoice) -> Indices:
+    """The indices (N,) of the frames of this ``choice``."""
+    if choice == "all":
+        return recording.indices
+    rejected = [layer.track.frame for layer in layers if layer.rejected] if choice == "rejected" else []
+    return np.intersect1d(recording.indices, np.concatenate([np.zeros(0, np.int64), *rejected]))
+
+
+def _video_times(recording: StereoRecording, frames: Indices) -> dict[int, float]:
+    """When (s) a video shows ``frames`` (N,): as they were taken, without the time of those that it leaves out."""
+    places = np.searchsorted(recording.indices, frames)
+    steps = np.where(np.diff(places) == 1, np.diff(recording.times[places]), _usual_step(recording.times))
+    return dict(zip(frames.tolist(), np.cumsum([0.0, *steps]).tolist(), strict=False))
+
+
+def _usual_step(times: Array) -> float:
+    """The median (s) of the steps between frames at ``times`` (N,) s, 1 where it is not positive."""
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    return VideoWriter(file, step if step > 0 else 1.0)
+    return step if step > 0 else 1.0
 
 
 class _Layer:

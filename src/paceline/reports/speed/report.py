@@ -22,6 +22,7 @@ from paceline.reports.speed.tables import (
     write_summary,
     write_vehicles,
 )
+from paceline.speed.choices import OverlayChoice
 from paceline.speed.configuration import DEFAULTS
 from paceline.speed.results import ClipResult
 
@@ -31,13 +32,14 @@ def write_report(
     recording: StereoRecording,
     out: str | Path,
     unit: str = DEFAULTS.report.units,
-    overlay: bool = True,
+    overlay: OverlayChoice = DEFAULTS.report.overlay,
 ) -> ClipResult:
     """Writes tables, plots, overlay and page into the folder ``out``, whole or not at all.
 
-    ``unit`` (mph, km/h or m/s) is that of the report; data files are in SI units. Without ``overlay`` there is no
-    video. Returns ``result`` with any notice that came up on the way. Raises UnusableInput when ``out`` cannot be
-    written.
+    ``unit`` (mph, km/h or m/s) is that of the report; data files are in SI units. ``overlay`` is which frames the
+    video shows: ``all``, those with a ``rejected`` vehicle or ``none``; ``auto`` is all of a recording of up to
+    `MAX_OVERLAY_S`, none of a longer one. Returns ``result`` with any notice that came up on the way. Raises
+    UnusableInput when ``out`` cannot be written.
     """
     with OutputFolder(out) as folder:
         return write_files(result, recording, folder, unit, overlay)
@@ -48,14 +50,13 @@ def write_files(
     recording: StereoRecording,
     folder: Path,
     unit: str,
-    overlay: bool = True,
+    overlay: OverlayChoice = DEFAULTS.report.overlay,
     stage: Stage = no_stage,
 ) -> ClipResult:
     """As `write_report`, straight into an existing ``folder``, in the stages ``drawing`` and ``writing``."""
     colors = {m.vehicle: VEHICLE_COLORS[i % len(VEHICLE_COLORS)] for i, m in enumerate(result.measurements)}
-    video = folder / "overlay.mp4" if overlay else None
     with stage("drawing") as progress:
-        drawn = write_overlay(result, recording, video, unit, colors, progress)
+        drawn = write_overlay(result, recording, folder / "overlay.mp4", unit, colors, overlay, progress)
     result = dataclasses.replace(result, notices=result.notices + drawn.notices)
     write_estimates(result, folder / "estimates.csv")
     stems = dict(zip(colors, _file_stems(list(colors)), strict=True))
@@ -81,7 +82,7 @@ def write_files(
         plan=plan,
         stills=drawn.stills,
         colors=colors,
-        overlay=overlay,
+        overlay=drawn.has_video,
     )
     return result
 
