@@ -12,6 +12,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_clips import put_clip, rendered
+from yaml.composer import Composer
 
 from paceline.cameras import Camera, StereoRig
 from paceline.console.editing.clip_document import (
@@ -67,20 +68,20 @@ def drawn(text: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def test_what_stays_the_same_keeps_every_line() -> None:
-    assert with_clip_setup(WRITTEN, "clip.yaml", *drawn(WRITTEN)) == WRITTEN
+    assert with_clip_setup(WRITTEN, Path("clip.yaml"), *drawn(WRITTEN)) == WRITTEN
 
 
 def test_a_change_touches_only_its_own_lines() -> None:
     paths, vehicles = drawn(WRITTEN)
     vehicles[1]["frame"] = 3
     paths["new: #"] = {"shape": "curve", "left": [[1.5, 2.0]] * 4, "right": [[1.0, 2.0]] * 4}
-    new = with_clip_setup(WRITTEN, "clip.yaml", paths, vehicles)
+    new = with_clip_setup(WRITTEN, Path("clip.yaml"), paths, vehicles)
     assert drawn(new) == (paths, vehicles)
     gone = set(WRITTEN.splitlines()) - set(new.splitlines())
     assert len(gone) == 1 and next(iter(gone)).startswith("- {id: v1")
     assert new.index("'new: #'") < new.index("# and what does") < new.index("vehicles:")
     del paths["lane0"]
-    removed = with_clip_setup(new, "clip.yaml", paths, [])
+    removed = with_clip_setup(new, Path("clip.yaml"), paths, [])
     assert drawn(removed) == (paths, []) and "vehicles:" not in removed and "# the end" in removed
     assert "the kerb" not in removed and "# where they drive" in removed
 
@@ -99,7 +100,7 @@ HEADS = [
 def test_every_yaml_style_is_edited_or_refused(head: str) -> None:
     paths, vehicles = drawn(WRITTEN)
     try:
-        new = with_clip_setup(head, "clip.yaml", paths, vehicles)
+        new = with_clip_setup(head, Path("clip.yaml"), paths, vehicles)
     except UnusableInput as error:
         assert "clip.yaml: paths and vehicles: are written in a way" in str(error) and head.startswith("{")
         return
@@ -122,9 +123,9 @@ def test_any_set_up_reads_back(added: dict[str, list[list[float]]], order: list[
     before, vehicles = drawn(WRITTEN)
     paths = {name: before[name] for name in order[:kept]}
     paths |= {name: {"shape": "line", "left": p, "right": p} for name, p in added.items()}
-    new = with_clip_setup(WRITTEN, "clip.yaml", paths, vehicles[:kept])
+    new = with_clip_setup(WRITTEN, Path("clip.yaml"), paths, vehicles[:kept])
     assert drawn(new) == (paths, vehicles[:kept])
-    assert with_clip_setup(new, "clip.yaml", paths, vehicles[:kept]) == new
+    assert with_clip_setup(new, Path("clip.yaml"), paths, vehicles[:kept]) == new
 
 
 def test_a_set_up_is_saved_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -146,9 +147,27 @@ def test_a_set_up_is_saved_whole_or_not_at_all(tmp_path: Path) -> None:
     assert sorted(p.name for p in file.parent.iterdir()) == ["clip.yaml", "left", "rig.yaml", "right"]
 
 
+def test_many_vehicles_are_saved_by_reading_the_old_and_the_new_text_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = put_clip(tmp_path) / "clip.yaml"
+    setup = read_clip_setup(file)
+    many = [{**setup.vehicles[0], "id": f"v{k}"} for k in range(300)]
+    read, compose = [], Composer.compose_document
+
+    def counted(loader: Composer) -> yaml.Node | None:
+        read.append(loader)
+        return compose(loader)
+
+    monkeypatch.setattr(Composer, "compose_document", counted)
+    saved = save_clip_setup(file, ClipSetup(setup.paths, many, setup.revision))
+    assert len(read) == 3, "these texts and the rig"
+    assert saved == read_clip_setup(file) and saved.vehicles == many
+
+
 def test_the_paths_of_a_site_are_kept_apart_and_may_be_driven_on(tmp_path: Path) -> None:
     clip = put_clip(tmp_path)
-    file, site = clip / "clip.yaml", tmp_path / "site.yaml"
+    file, site = clip / Path("clip.yaml"), tmp_path / "site.yaml"
     given = yaml.safe_load(file.read_text())
     site.write_text(yaml.safe_dump({"rig": "road/rig.yaml", "paths": given.pop("paths")}))
     del given["rig"]

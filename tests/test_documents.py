@@ -368,7 +368,7 @@ def test_two_vehicles_of_one_id():
     [
         ("", "clip.yaml: expected the keys left, right, rate,"),
         ("- 1\n- 2\n", "clip.yaml: expected the keys left, right, rate,"),
-        ("left: [1, 2\nright: x", "clip.yaml: line 2, column 6: expected ',' or ']'"),
+        ("left: [1, 2\nright: x", "clip.yaml: line 2, column 6: did not find expected ',' or ']'"),
         ("left: a\nright: b\nleft: c\n", "clip.yaml: line 3, column 1: the key 'left' occurs twice"),
         ("left: !!python/object:os.system x\n", "clip.yaml: line 1, column 7: could not determine a constructor"),
         ("left: \x00", "clip.yaml: is not valid YAML"),

@@ -15,7 +15,7 @@ CLIP_FILE, FOLLOW_FILE = "clip.yaml", "follow.yaml"  # a folder that holds both 
 STREAM_PATTERN = re.compile(r"(rtsps?|https?|udp|rtp|srt|rtmps?)://\S+", re.IGNORECASE)
 DEVICE_PATTERN = re.compile(r"/dev/video\d+")
 
-MAX_DOCUMENT_BYTES = 512 << 10  # some 2500 outlined vehicles; parsing YAML takes 10 s per MiB
+MAX_DOCUMENT_BYTES = 512 << 10  # some 2500 outlined vehicles; reading them takes 2 s per MiB
 MAX_CACHED_DOCUMENTS = 64
 
 M = TypeVar("M", bound=Document)

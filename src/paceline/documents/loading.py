@@ -155,8 +155,11 @@ def load_clip(path: str | Path) -> Clip:
 
     Outlines of a vehicle in views that may not be exposed at the same instants are not compared with each other.
     """
-    path = Path(path)
-    model = read_document(ClipModel, path)
+    return clip_from_model(Path(path), read_document(ClipModel, Path(path)))
+
+
+def clip_from_model(path: Path, model: ClipModel) -> Clip:
+    """As `load_clip`, of the ``model`` that the file at ``path`` holds, or is to hold."""
     site, rig = _site(path, model)
     clip = _recording(path, model, rig)
     paths = {name: _path(path, clip.rig, name, p) for name, p in (model.paths or {}).items()}

@@ -68,7 +68,7 @@ def format_flow(value: object) -> str:
     return str(text).removesuffix("...\n").strip()
 
 
-class _Flow(yaml.SafeDumper):
+class _Flow(yaml.CSafeDumper):
     def ignore_aliases(self, data: object) -> bool:
         return True  # a list that occurs twice is written twice
 

@@ -14,10 +14,10 @@ import numpy as np
 import yaml
 from pydantic import ValidationError
 
-from paceline.documents.loading import load_clip
-from paceline.documents.models import ClipModel, PathModel, SiteModel, VehicleModel, read_document
+from paceline.documents.loading import clip_from_model
+from paceline.documents.models import ClipModel, PathModel, SiteModel, VehicleModel, checked_content, read_document
 from paceline.documents.yaml_editing import format_flow
-from paceline.documents.yaml_loading import load_yaml
+from paceline.documents.yaml_loading import load_with_nodes, load_yaml
 from paceline.errors import UnusableInput
 
 Entry = dict[str, Any]
@@ -73,44 +73,55 @@ def validated_setup(paths: Mapping[str, Entry], vehicles: list[Entry]) -> tuple[
 def save_clip_setup(file: Path, setup: ClipSetup) -> ClipSetup:
     """Writes ``setup`` into the clip.yaml ``file`` atomically. Raises FileChanged where the file has another revision,
     UnusableInput where the clip could not be measured with it."""
-    if file_revision(file) != setup.revision:
+    content = _read(file)
+    if _revision(content) != setup.revision:
         raise FileChanged
     paths, vehicles = validated_setup(setup.paths, setup.vehicles)
-    text = with_clip_setup(file.read_text(encoding="utf-8"), str(file), paths, vehicles)
+    text, model = _edited(content.decode("utf-8"), file, paths, vehicles)
+    clip_from_model(file, model)
+    content = text.encode("utf-8")
     partial = file.with_name(f".{file.name}.{secrets.token_hex(4)}.partial")
     try:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_bytes(content)
         shutil.copymode(file, partial)
-        try:
-            load_clip(partial)
-        except UnusableInput as error:
-            raise UnusableInput(str(error).replace(str(partial), str(file))) from error
         partial.replace(file)
     except OSError as error:
         raise UnusableInput(f"{file}: cannot be written ({error.strerror})") from error
     finally:
         partial.unlink(missing_ok=True)
-    return read_clip_setup(file)
+    return ClipSetup(paths, vehicles, _revision(content))
 
 
-def with_clip_setup(text: str, file: str, paths: Mapping[str, Entry], vehicles: list[Entry]) -> str:
+def with_clip_setup(text: str, file: Path, paths: Mapping[str, Entry], vehicles: list[Entry]) -> str:
     """``text`` of a clip.yaml with these ``paths`` and ``vehicles``; unchanged entries keep their lines and
     comments, and the rest of the file stays as it is. Raises UnusableInput where the file's style does not allow it."""
+    return _edited(text, file, paths, vehicles)[0]
+
+
+def _edited(text: str, file: Path, paths: Mapping[str, Entry], vehicles: list[Entry]) -> tuple[str, ClipModel]:
+    """As `with_clip_setup`, with the model of the new text; either text is parsed once."""
     try:
-        new = _with_section(text, "paths", list(paths.items()))
-        new = _with_section(new, "vehicles", [(vehicle["id"], vehicle) for vehicle in vehicles])
-        before, after = ({**load_yaml(t), "paths": None, "vehicles": None} for t in (text, new))
-        unchanged = before == after and _plain_setup(ClipModel.model_validate(load_yaml(new))) == (
-            dict(paths),
-            vehicles,
-        )
-    except (yaml.YAMLError, ValidationError):
+        before, root = load_with_nodes(text)
+        old_paths, old_vehicles = _plain_setup(ClipModel.model_validate(before))
+        lines = text.splitlines()
+        edits = [
+            _section_edit(lines, root, "paths", list(old_paths.items()), list(paths.items())),
+            _section_edit(lines, root, "vehicles", _by_id(old_vehicles), _by_id(vehicles)),
+        ]
+        for begin, end, section in sorted(reversed(edits), key=lambda edit: edit[0], reverse=True):
+            lines[begin:end] = section
+        new = "\n".join(lines) + "\n"
+        after = load_yaml(new)
+        model = checked_content(ClipModel, after, file)
+        unset = {"paths": None, "vehicles": None}
+        unchanged = before | unset == after | unset and _plain_setup(model) == (dict(paths), vehicles)
+    except (yaml.YAMLError, ValidationError, UnusableInput, TypeError):
         unchanged = False
     if not unchanged:
         raise UnusableInput(
             f"{file}: paths and vehicles: are written in a way that cannot be edited; expected one key per line"
         )
-    return new
+    return new, model
 
 
 def _plain_setup(model: ClipModel) -> tuple[dict[str, Entry], list[Entry]]:
@@ -120,10 +131,22 @@ def _plain_setup(model: ClipModel) -> tuple[dict[str, Entry], list[Entry]]:
 
 def file_revision(file: Path) -> str:
     """A digest of the ``file``. Raises UnusableInput."""
+    return _revision(_read(file))
+
+
+def _revision(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _read(file: Path) -> bytes:
     try:
-        return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+        return file.read_bytes()
     except OSError as error:
         raise UnusableInput(f"{file}: cannot be read ({error.strerror})") from error
+
+
+def _by_id(vehicles: list[Entry]) -> list[tuple[str, Entry]]:
+    return [(vehicle["id"], vehicle) for vehicle in vehicles]
 
 
 def _plain(model: PathModel | VehicleModel) -> Entry:
@@ -142,17 +165,21 @@ def _rounded_entry(entry: Entry) -> Entry:
 # --- text ----------------------------------------------------------------------------------------------------------
 
 
-def _with_section(text: str, section: str, entries: list[tuple[str, Entry]]) -> str:
-    """``text`` with the ``entries`` (name, values) of its top-level key ``section``: paths by name, vehicles in
-    order."""
-    root = yaml.compose(text)
-    lines = text.splitlines()
+def _section_edit(
+    lines: list[str],
+    root: yaml.Node | None,
+    section: str,
+    old_entries: list[tuple[str, Entry]],
+    entries: list[tuple[str, Entry]],
+) -> tuple[int, int, list[str]]:
+    """The lines from one to before another, and those in their place, by which the top-level key ``section`` of the
+    document ``root`` has the ``entries`` (name, values) for ``old_entries``: paths by name, vehicles in order."""
     entries_by_key = (
         {key.value: (key, value) for key, value in root.value} if isinstance(root, yaml.MappingNode) else {}
     )
     if section not in entries_by_key:
         body = [line for name, entry in entries for line in _entry_lines(section, name, entry, 2)]
-        return "\n".join([*lines, *([f"{section}:", *body] if body else [])]) + "\n"
+        return len(lines), len(lines), [f"{section}:", *body] if body else []
     key, value = entries_by_key[section]
     begin = key.start_mark.line
     in_lines = isinstance(value, yaml.CollectionNode) and bool(value.value) and not value.flow_style
@@ -161,24 +188,16 @@ def _with_section(text: str, section: str, entries: list[tuple[str, Entry]]) -> 
         indent = len(lines[starts[0]]) - len(lines[starts[0]].lstrip())
         end = _section_end(lines, value, starts[-1], indent)
         starts = [_with_comments(lines, start, begin, indent) for start in starts]
-        old = {
-            _entry_key(v): lines[a:b]
-            for v, a, b in zip(_existing_entries(section, text), starts, [*starts[1:], end], strict=True)
-        }
+        old = {_entry_key(v): lines[a:b] for v, a, b in zip(old_entries, starts, [*starts[1:], end], strict=True)}
         head = lines[begin : starts[0]]
     else:  # nothing, or all in one line
         old, indent = {}, key.start_mark.column + 2
         end = max(value.end_mark.line + (value.end_mark.column > 0), begin + 1)
         head = [f"{section}:"]
     body = [
-        line for name, e in entries for line in old.get(_entry_key((name, e)), _entry_lines(section, name, e, indent))
+        line for name, e in entries for line in old.get(_entry_key((name, e))) or _entry_lines(section, name, e, indent)
     ]
-    return "\n".join([*lines[:begin], *([*head, *body] if body else []), *lines[end:]]) + "\n"
-
-
-def _existing_entries(section: str, text: str) -> list[tuple[str, Entry]]:
-    paths, vehicles = _plain_setup(ClipModel.model_validate(load_yaml(text)))
-    return list(paths.items()) if section == "paths" else [(vehicle["id"], vehicle) for vehicle in vehicles]
+    return begin, end, [*head, *body] if body else []
 
 
 def _entry_key(entry: tuple[str, Entry]) -> str:
