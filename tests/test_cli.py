@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import av
@@ -64,6 +65,27 @@ def test_a_clip_is_measured(measured: tuple[Done, Path]) -> None:
     assert (out / "report.html").stat().st_size > 50_000
     assert (out / "overlay.mp4").stat().st_size > 5_000
     assert not [p for p in out.parent.iterdir() if p.name.startswith(".")]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are listed by Linux")
+def test_with_one_core_a_single_thread_computes(clip: Path, measured: tuple[Done, Path], tmp_path: Path) -> None:
+    command = [*COMMAND, "speed", clip, "-o", tmp_path / "out", "--seed", "1", "--quiet", "--cores", "1"]
+    process = subprocess.Popen(list(map(str, command)), env=ENVIRONMENT)
+    ticks: dict[str, int] = {}
+    while process.poll() is None:
+        with suppress(OSError):  # threads end
+            for file in Path(f"/proc/{process.pid}/task").glob("*/stat"):
+                values = file.read_text().rpartition(")")[2].split()
+                ticks[file.parent.name] = int(values[11]) + int(values[12])
+        time.sleep(0.02)
+    of_main = ticks.pop(str(process.pid))
+    assert process.returncode == 0 and sum(ticks.values()) < 0.02 * of_main
+    assert (tmp_path / "out" / "estimates.csv").read_bytes() == (measured[1] / "estimates.csv").read_bytes()
+
+
+def test_a_live_survey_needs_two_cores(clip: Path, tmp_path: Path) -> None:
+    done = paceline("speed", clip, "-o", tmp_path / "out", "--live", "--cores", "1")
+    assert_one_line_error(done, "--cores 1: --live", "expected 2 or more")
 
 
 def test_the_same_seed_gives_the_same_result(clip: Path, measured: tuple[Done, Path], tmp_path: Path) -> None:

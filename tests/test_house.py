@@ -26,7 +26,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 # What a room may import beside itself, from the ground up. An inner room that is named has its own line.
 GROUND = {
     "version", "arrays", "errors", "exit_status", "units", "number_format", "verdicts", "progress", "blas", "cameras",
-    "subpixel", "sift_features", "numba_cache", "robust_line",
+    "subpixel", "sift_features", "numba_cache", "robust_line", "processor_cores",
 }  # fmt: skip
 BASE = GROUND | {"geometry", "recordings", "path_following"}
 READ = BASE | {"documents"}

@@ -12,6 +12,7 @@ from paceline.commands import file_named, print_columns
 from paceline.commands.progress_output import progress_bar, speed_line_writer
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
+from paceline.processor_cores import limit_cores
 from paceline.speed.choices import DeviceName, Motion, OverlayChoice
 
 if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once
@@ -22,6 +23,7 @@ if TYPE_CHECKING:  # what computes is imported when a command runs, so that --he
     from paceline.speed.results import ClipResult
     from paceline.units import SpeedUnit
 
+MIN_LIVE_CORES = 2  # of --cores with --live
 OLD_OPTIONS = {
     "--tolerance": "--max-half-width",
     "--parts": "--feature-parts",
@@ -99,9 +101,19 @@ def speed(
             show_default="auto",
         ),
     ] = None,
+    cores: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processor cores to use at most; 1: one process on one core.", show_default="all"),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> int:
     """Measure the speed of every vehicle in a stereo clip: those that it outlines, or else those detected in it."""
+    if cores is not None:
+        if live and cores < MIN_LIVE_CORES:
+            raise UnusableInput(
+                f"--cores {cores}: --live detects and measures at once; expected {MIN_LIVE_CORES} or more"
+            )
+        limit_cores(cores - 1 if live else cores)  # the process that measures has those beside the one that detects
     given = {
         "particles": particles,
         "seed": seed,

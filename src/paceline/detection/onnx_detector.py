@@ -14,6 +14,7 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.detection.onnx_outputs import EXPECTED_OUTPUTS, Outputs, output_layout, select_boxes, vehicle_classes
 from paceline.errors import UnusableInput
+from paceline.processor_cores import max_threads
 from paceline.speed.configuration import DEFAULTS
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ def _session(file: Path) -> tuple[InferenceSession, str]:
         ) from None
     onnxruntime.set_default_logger_severity(LOG_FATAL_ONLY)
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = INFERENCE_THREADS, 1
+    options.intra_op_num_threads, options.inter_op_num_threads = max_threads(INFERENCE_THREADS), 1
     options.log_severity_level = LOG_FATAL_ONLY
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:

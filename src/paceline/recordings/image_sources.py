@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from paceline.arrays import Array, Image
 from paceline.errors import UnusableInput, refuse_pipe_or_device
+from paceline.processor_cores import max_threads
 from paceline.recordings.time_stamps import longest_increasing_subsequence
 from paceline.verdicts import message, plural
 
@@ -219,7 +220,7 @@ class VideoFile:
         """Whole pictures in presentation order, from the key frame at or before time stamp ``start``."""
         with av.open(self._path) as container:
             stream = container.streams.video[0]
-            stream.thread_type = self._threads
+            stream.thread_type, stream.codec_context.thread_count = self._threads, max_threads()
             if start is not None:
                 container.seek(start, stream=stream)
             packets, number = container.demux(stream), 0

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from paceline.arrays import Array
 from paceline.cameras import Camera
 from paceline.errors import UnusableInput
+from paceline.processor_cores import max_threads
 from paceline.recordings.image_sources import ImageFiles, ImageSource, open_source
 from paceline.recordings.time_stamps import MIN_GAP_RATIO
 from paceline.verdicts import message
@@ -323,6 +324,7 @@ class LiveFeed:
 
     def _pictures(self) -> Iterator[_Picture]:
         stream = self._container.streams.video[0]
+        stream.codec_context.thread_count = max_threads()
         stream.thread_type = "SLICE"  # frame-parallel decoding would delay every frame
         packets = self._container.demux(stream)
         start_time = monotonic()

@@ -10,6 +10,7 @@ import av
 import numpy as np
 
 from paceline.errors import UnusableInput
+from paceline.processor_cores import max_threads
 from paceline.reports.common.drawing import Picture
 from paceline.verdicts import message
 
@@ -68,6 +69,7 @@ class VideoWriter:
         stream.height, stream.width = picture.shape[:2]
         stream.pix_fmt = "yuv420p"
         stream.codec_context.time_base = Fraction(1, TICKS_PER_S)
+        stream.codec_context.thread_count = max_threads()
         if self._codec != "libx264":
             stream.bit_rate = FALLBACK_BIT_RATE
         return stream
