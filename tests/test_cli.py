@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from run_command import COMMAND, ENVIRONMENT, Done, assert_one_line_error, in_a_process, paceline
 
 from paceline import cli
+from paceline.commands.progress_output import compilation_notice
 from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
 
 pytestmark = pytest.mark.usefixtures("unrendered_plots")
@@ -65,6 +66,40 @@ def test_a_clip_is_measured(measured: tuple[Done, Path]) -> None:
     assert (out / "report.html").stat().st_size > 50_000
     assert (out / "overlay.mp4").stat().st_size > 5_000
     assert not [p for p in out.parent.iterdir() if p.name.startswith(".")]
+
+
+def test_what_is_compiled_is_a_line_for_people_and_a_line_each_for_programs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with compilation_notice(True):
+        for number in (1, 1.0):
+            njit(lambda x: x + 1)(number)
+    assert capsys.readouterr().err == "compiling, once after an upgrade; it takes up to a minute\n"
+    with compilation_notice(False):
+        njit(lambda x: x + 2)(1)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setenv("PACELINE_PROGRESS", "lines")
+    with compilation_notice(False):
+        for number in (1, 1.0):
+            njit(lambda x: x + 3)(number)
+    assert capsys.readouterr().err == "progress: compiling 1 ?\nprogress: compiling 2 ?\n"
+
+
+@pytest.mark.slow
+def test_after_a_warm_up_nothing_is_compiled(clip: Path, tmp_path: Path) -> None:
+    environment = {**ENVIRONMENT, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PACELINE_PROGRESS": "lines"}
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        command = [*COMMAND, *map(str, arguments)]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+
+    assert "functions compiled" in run("warm-up").stdout
+    assert "nothing to compile" in run("warm-up").stdout
+    found = yaml.safe_load((clip.parent / "clip.yaml").read_text()) | {"vehicles": []}
+    (clip.parent / "found.yaml").write_text(yaml.safe_dump(found))
+    chase = Path(__file__).parents[1] / "examples" / "chase" / "follow.yaml"
+    for arguments in (["speed", clip], ["speed", clip.parent / "found.yaml"], ["follow", chase, "--no-overlay"]):
+        assert "progress: compiling" not in run(*arguments, "-o", tmp_path / "out").stderr
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are listed by Linux")

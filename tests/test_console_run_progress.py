@@ -17,7 +17,10 @@ from run_command import ENVIRONMENT, paceline
 from tiny_clips import put_clip
 
 from paceline.console.library import Library
+from paceline.console.pages.layout import progress_text
+from paceline.console.runs.kinds import LIVE_RUN, SPEED_RUN
 from paceline.console.runs.run_progress import MAX_SERIES_VALUES, RunProgress
+from paceline.console.runs.run_queue import STATE_RUNNING, Run
 from paceline.progress import (
     MAX_LINE_LENGTH,
     MAX_PARTICLES,
@@ -143,3 +146,9 @@ def test_an_active_run_is_monitored(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     known = [float(row["speed_mps"]) for row in rows if row["speed_mps"]]
     assert series[0].vehicle == "v0" and series[0].value == pytest.approx(known, abs=1e-4)
     library.runs.close()
+
+
+@pytest.mark.parametrize("kind", [SPEED_RUN, LIVE_RUN])
+def test_a_run_that_compiles_says_so(kind: str) -> None:
+    run = Run("road", 1, kind, (), STATE_RUNNING, created=0.0, started=0.0, doing="compiling", done=7)
+    assert progress_text(run) == "compiling, once after an upgrade: 7 functions"

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from numba import njit
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 from selection import slow_after
 
 import paceline
 from paceline import numba_cache
-from paceline.numba_cache import cached_njit, with_source_digest
+from paceline.numba_cache import cached_njit, compilations, with_source_digest
 
 SOURCE = Path(paceline.__file__).parent
 NEEDS_MORE = "paceline.console", "paceline.simulation.raytraced", "paceline.__main__"  # extras
@@ -196,3 +197,15 @@ def test_without_a_folder_for_the_cache_all_is_compiled_anew() -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout == "[[[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]]\n"
     assert done.stderr.count("compiled code cannot be kept") == 1
+
+
+def test_functions_are_counted_as_they_are_compiled() -> None:
+    """Those that others need are not counted apart, and what is compiled already is not compiled again."""
+    inner = njit(lambda x: x + 1)
+    outer = njit(lambda x: 2 * inner(x))
+    reports: list[int] = []
+    with compilations(reports.append) as compiled:
+        assert [outer(1), outer(2), outer(1.0)] == [4, 6, 4.0]
+    assert reports == [0, 1] and compiled.count == 2
+    njit(lambda x: x)(1)
+    assert compiled.count == 2

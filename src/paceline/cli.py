@@ -25,6 +25,7 @@ from paceline.commands.simulate import simulate
 from paceline.commands.speed import OLD_OPTIONS, speed
 from paceline.commands.target import target
 from paceline.commands.vehicles import vehicles
+from paceline.commands.warm_up import warm_up
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_INTERRUPTED, EXIT_UNUSABLE_INPUT
 
@@ -48,6 +49,7 @@ app.add_typer(target, name="target")
 app.add_typer(simulate, name="simulate")
 app.command()(drive)
 app.command()(console)
+app.command()(warm_up)
 
 
 def main() -> None:

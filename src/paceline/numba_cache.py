@@ -12,12 +12,15 @@ import hashlib
 import re
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache, update_wrapper
 from types import CellType, FunctionType
 from typing import Any, TypeVar
 from warnings import warn
 
 from numba import njit
+from numba.core.event import Event, Listener, install_listener
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -46,6 +49,33 @@ def cached_njit(**options: Any) -> Callable[[Function], Function]:
         return compiled
 
     return decorate
+
+
+@dataclass
+class Compilations(Listener):  # type: ignore[misc]
+    """Counts the functions that are compiled, not loaded from the cache; ``report`` is called with how many have been,
+    each time another one begins. Those that one needs itself are not counted apart."""
+
+    report: Callable[[int], None]
+    count: int = 0
+    _depth: int = 0
+
+    def on_start(self, event: Event) -> None:
+        if self._depth == 0:
+            self.report(self.count)
+        self._depth += 1
+
+    def on_end(self, event: Event) -> None:
+        self._depth -= 1
+        self.count += self._depth == 0
+
+
+@contextmanager
+def compilations(report: Callable[[int], None] = lambda count: None) -> Iterator[Compilations]:
+    """The `Compilations` within the context."""
+    listener = Compilations(report)
+    with install_listener("numba:compile", listener):
+        yield listener
 
 
 def with_source_digest(function: FunctionType) -> FunctionType:

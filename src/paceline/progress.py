@@ -26,7 +26,9 @@ ESTIMATE_PREFIX, PICTURES_PREFIX = "estimate: ", "pictures: "
 MAX_PARTICLES = 40  # particles written per view
 MAX_LINE_LENGTH = 1 << 19  # characters
 # What people read for an activity; the first field of its progress lines is the key, which other programs rely on.
+COMPILING_ACTIVITY = "compiling"  # its progress lines count functions
 ACTIVITY_LABELS = {
+    COMPILING_ACTIVITY: "compiling, once after an upgrade",
     "estimating": "estimating the cameras",
     "looking": "detecting vehicles",
     "averaging": "estimating background",
@@ -37,7 +39,8 @@ ACTIVITY_LABELS = {
     "drawing": "drawing the pictures",
     "writing": "writing the report",
 }
-ACTIVITY_UNITS = {"refining": "vehicles", "writing": "parts", "learning": "s"}  # what is counted; frames in others
+# what is counted; frames in others
+ACTIVITY_UNITS = {COMPILING_ACTIVITY: "functions", "refining": "vehicles", "writing": "parts", "learning": "s"}
 FRAME_ACTIVITIES = ("looking", "measuring", "following")  # that go through the frames for a result
 
 

@@ -11,7 +11,7 @@ import typer
 
 from paceline.commands import file_named
 from paceline.commands.interrupts import ended_by_interrupt
-from paceline.commands.progress_output import progress_bar, range_line_writer
+from paceline.commands.progress_output import compilation_notice, progress_bar, range_line_writer
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 from paceline.path_following.steering_goal import SteeringGoal
 
@@ -48,7 +48,8 @@ def follow_vehicle(
     with OutputFolder(out) as folder:
         recording = open_camera(document)
         show_progress = sys.stderr.isatty() and not quiet
-        with _ended(recording):
+        notice = compilation_notice(not (quiet or show_progress))
+        with notice, _ended(recording):
             on_frame = range_line_writer(document.target.name, recording.live)
             result, tally = write_follow_files(
                 document,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from paceline.progress import (
     ACTIVITY_LABELS,
     ACTIVITY_UNITS,
+    COMPILING_ACTIVITY,
     PROGRESS_VARIABLE,
     Progress,
     format_estimate,
@@ -149,12 +150,36 @@ def progress_bar(activity: str, show: bool) -> Iterator[Progress | None]:
     )
     from rich.text import Text
 
+    from paceline.numba_cache import compilations
+
     class Rate(ProgressColumn):
         def render(self, task: Task) -> Text:
             return Text(f"{task.speed:.1f} {unit}/s" if task.speed else "")
 
     label, unit = ACTIVITY_LABELS.get(activity, activity), ACTIVITY_UNITS.get(activity, "frames")
-    columns = [TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn(unit), Rate()]
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn(unit), Rate()]
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        task = bar.add_task(label, total=None)
+
+        def report(count: int) -> None:
+            text = f"{ACTIVITY_LABELS[COMPILING_ACTIVITY]}: function {count + 1}"
+            bar.update(task, description=text, refresh=True)
+
+        with compilations(report):
+            yield lambda done, total: bar.update(task, completed=done, total=total, description=label)
+
+
+@contextmanager
+def compilation_notice(show: bool) -> Iterator[None]:
+    """Writes a line once something has to be compiled within the context, if to ``show``; a program that requests
+    progress lines gets one for each function."""
+    from paceline.numba_cache import compilations
+
+    def report(count: int) -> None:
+        if lines_requested():
+            write_progress(COMPILING_ACTIVITY, count + 1, None)
+        elif show and count == 0:
+            _write_line(f"{ACTIVITY_LABELS[COMPILING_ACTIVITY]}; it takes up to a minute")
+
+    with compilations(report):
+        yield

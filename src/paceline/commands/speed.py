@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import file_named, print_columns
-from paceline.commands.progress_output import progress_bar, speed_line_writer
+from paceline.commands.progress_output import compilation_notice, progress_bar, speed_line_writer
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 from paceline.processor_cores import limit_cores
@@ -164,8 +164,10 @@ def _measure(
     document = document if limit is None else document.with_limit(limit)
     if detector is not None and document.vehicles:
         raise UnusableInput(f"{document.path}: vehicles: --detector is to find them; expected none")
-    with OutputFolder(out) as folder:  # before the work, so that an unwritable folder is reported at once
-        recording, show_progress = open_recording(document), sys.stderr.isatty() and not quiet
+    show_progress = sys.stderr.isatty() and not quiet  # which shows what is compiled, too
+    # the folder before the work, so that one that cannot be written is reported at once
+    with OutputFolder(out) as folder, compilation_notice(not (quiet or show_progress)):
+        recording = open_recording(document)
 
         def stage(activity: str) -> AbstractContextManager[Progress | None]:
             return progress_bar(activity, show_progress)

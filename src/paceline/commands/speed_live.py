@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from paceline.commands.interrupts import ended_by_interrupt
-from paceline.commands.progress_output import live_line_writer, write_progress
+from paceline.commands.progress_output import compilation_notice, live_line_writer, write_progress
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def measure_live(
     if not at_once:
         print_line(f"estimating the background for {background_s:g} s")
     with results:
-        with ended_by_interrupt(views.stop):
+        with compilation_notice(not quiet), ended_by_interrupt(views.stop):
             try:
                 no_vehicle = survey(clip, views, configuration, on_result, on_ready, on_frame, detect)
             except BrokenExecutor as error:

@@ -20,7 +20,7 @@ from paceline.console.runs.run_queue import (
     STATE_WAITING,
     Run,
 )
-from paceline.progress import describe_progress
+from paceline.progress import COMPILING_ACTIVITY, describe_progress
 
 STYLESHEET_LINK = '<link rel="stylesheet" href="/static/console.css">'
 ACCENT_COLOR = "#2f7ac4"
@@ -111,7 +111,7 @@ def progress_text(run: Run) -> str:
         return "waiting for the previous run"
     if run.state != STATE_RUNNING:
         return ""
-    if run.kind == LIVE_RUN and run.doing != BACKGROUND_ACTIVITY and run.started is not None:
+    if run.kind == LIVE_RUN and run.doing not in (BACKGROUND_ACTIVITY, COMPILING_ACTIVITY) and run.started is not None:
         return f"running for {format_duration(time.time() - run.started)}"
     if not run.doing:
         return "starting"
