@@ -112,7 +112,9 @@ def correlate(left: Image, right: Image, H: Array, scale: float, window: int, nc
     (rows, columns)."""
     warped, moments = _warp_views(left, right, H, scale, window, ncc.shape)
     _local_ncc(warped[0], moments[0], warped[1], moments[1], window, ncc)
-    contrast[:] = moments[0, 1]
+    for r in range(len(contrast)):  # by element: the check of an array's shape takes 5 s to compile
+        for c in range(contrast.shape[1]):
+            contrast[r, c] = moments[0, 1, r, c]
 
 
 @cached_njit(nogil=True, error_model="numpy")

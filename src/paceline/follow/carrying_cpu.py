@@ -75,7 +75,9 @@ def products(picture: Floats, part: Floats) -> Floats:
     sample at which it lies in that."""
     (h, w), (height, width) = picture.shape, part.shape
     padded = np.zeros((h, width), np.float32)  # as wide as the part, so that one long sum does: zeros count for nothing
-    padded[:, :w] = picture
+    for y in range(h):  # by element: the check of an array's shape takes seconds to compile
+        for x in range(w):
+            padded[y, x] = picture[y, x]
     long = (h - 1) * width + w
     wanted, given = padded.ravel()[:long], part.ravel()
     sums = np.empty((height - h + 1, width - w + 1), np.float32)

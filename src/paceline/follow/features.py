@@ -42,7 +42,8 @@ def _featured(
     for j in range(n):
         across, along = (0, 1) if vertical[j] else (1, 0)
         places[j] = location[across] + location[2] * offsets[j]
-        spans[j] = location[along] + location[2] * magnification[along] * extents[j]
+        for end in range(2):  # by element: the check of an array's shape takes seconds to compile
+            spans[j, end] = location[along] + location[2] * magnification[along] * extents[j, end]
         lengths[j] = spans[j, 1] - spans[j, 0]
     return places, spans, lengths
 

@@ -105,8 +105,9 @@ def competing_places(
         candidate_lines(points, owners[k], upright, places, gates, breadth, vertical, lines)
     if faint:
         faint_lines(image, places, spans, reach, vertical, brighter, minimum_share, threshold, lines)
-    for j in range(n):
-        lines[j, :, 0] -= shifts[j]
+    for j in range(n):  # by element: the check of an array's shape takes seconds to compile
+        for k in range(CANDIDATES):
+            lines[j, k, 0] -= shifts[j]
     found, weights = robust_lines(
         lines, start, doubt, vertical, offsets, lengths, minimum_share, variance_floor, tolerance, breadth
     )

@@ -145,7 +145,10 @@ def _observe(
             if 0.0 < tau <= HONEST:
                 e = values[p] - extrapolated(pairs[p, m], tau, moving[m])
                 errors[p, m] = max(memory * errors[p, m] + (1.0 - memory) * e * e, floors[p] ** 2)
-            pairs[p, m] = updated(aged(pairs[p, m], tau, decays[p, m]), values[p], weights[p])
+            pair = updated(aged(pairs[p, m], tau, decays[p, m]), values[p], weights[p])
+            for i in range(pair.shape[0]):  # by element: the check of an array's shape takes seconds to compile
+                for j in range(pair.shape[1]):
+                    pairs[p, m, i, j] = pair[i, j]
 
 
 class MotionModels:

@@ -132,6 +132,15 @@ def _products(
 
 
 @cached_njit(nogil=True, error_model="numpy")
+def _fill_rows(rows: Array, total: Array) -> None:
+    """Copy the first of ``total`` (4, 4) to ``rows`` (3, 4): by element, as the check of an array's shape takes seconds
+    to compile."""
+    for i in range(3):
+        for j in range(4):
+            rows[i, j] = total[i, j]
+
+
+@cached_njit(nogil=True, error_model="numpy")
 def align(
     image: Bytes,
     picture: Floats,
@@ -189,7 +198,7 @@ def align(
         variance = CORRELATED * max(total[3, 3] / count, 1e-4)  # of a sample, in units of its square's own variance
         total[2, 2] += variance / (steady * steady)
         total[2, 3] -= variance / (steady * steady) * np.log(location[2] / scale0)
-        rows[:] = total[:3]
+        _fill_rows(rows, total)
         triangularise(rows)
         if min(abs(rows[0, 0]), abs(rows[1, 1]), abs(rows[2, 2])) < 1e-9:
             return False
@@ -200,11 +209,13 @@ def align(
         if abs(step[0]) < STILL * dx and abs(step[1]) < STILL * dy and abs(step[2]) * max(h, w) < 2.0 * STILL:
             break
     for p in range(3):  # the inverse of the normal matrix, a column at a time
-        rows[:, :3] = total[:3, :3]
+        _fill_rows(rows, total)
         rows[:, 3] = 0.0
         rows[p, 3] = 1.0
         triangularise(rows)
-        covariance[:, p] = variance * solved(rows)
+        column = solved(rows)
+        for k in range(3):
+            covariance[k, p] = variance * column[k]
     covariance[2] *= location[2]
     covariance[:, 2] *= location[2]
     return bool(covariance[0, 0] > 0.0 and covariance[1, 1] > 0.0 and covariance[2, 2] > 0.0)

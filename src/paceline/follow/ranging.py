@@ -45,8 +45,9 @@ def _placed(
     z = nominal_range / location[2]
     position = z * ray
     to_metres = np.empty((3, 3))
-    to_metres[:, :2] = z * K_inv[:, :2]
-    to_metres[:, 2] = -position / location[2]
+    for i in range(3):  # by element: the check of an array's shape takes seconds to compile
+        to_metres[i, 0], to_metres[i, 1] = z * K_inv[i, 0], z * K_inv[i, 1]
+        to_metres[i, 2] = -position[i] / location[2]
     model = np.array([np.hypot(tolerance, YAW * (0.5 * width) ** 2 / z), tolerance, tolerance * z / width])
     by_location, variance = to_metres @ covariance, np.zeros(3)
     for i in range(3):

@@ -77,7 +77,8 @@ def evidence(image: Bytes, soft: float, gx: Floats, gy: Floats, vertical: Floats
             horizontal[top + 1, i + 2] = b
             horizontal[top + 2, i + 2] = c
         horizontal[top, w], horizontal[top + 1, w], horizontal[top + 2, w] = a, b, c
-    vertical[h] = vertical[h - 1]
+    for x in range(w):  # by element: the check of an array's shape takes seconds to compile
+        vertical[h, x] = vertical[h - 1, x]
 
 
 @cached_njit(nogil=True, error_model="numpy")
@@ -230,7 +231,7 @@ def scan(
         if scores[top] < 0.0:
             break
         i, j, k = top % nx, (top // nx) % ny, top // (nx * ny)
-        best[count] = xs[i], ys[j], scales[k], scores[top]
+        best[count, 0], best[count, 1], best[count, 2], best[count, 3] = xs[i], ys[j], scales[k], scores[top]
         count += 1
         for kk in range(len(scales)):
             _strike(scores[kk * ny * nx : (kk + 1) * ny * nx].reshape(ny, nx), i, j, 3)

@@ -73,12 +73,15 @@ def normal_equations(M: Floats, dH: Floats, whitening: Floats, r: Floats, A: Arr
     J = np.empty((V, n, m), np.float32)
     for k in range(K):
         for v in range(V):
-            J[v, :P] = np.dot(dH[v], M[v, k, :9])
-            J[v, P] = M[v, k, rows - 1]
-            J[v, P + 1 :] = M[v, k, 9 : rows - 1]
+            np.dot(dH[v], M[v, k, :9], J[v, :P])
+            for i in range(m):  # by element: the check of an array's shape takes 5 s to compile
+                J[v, P, i] = M[v, k, rows - 1, i]
+            for row in range(9, rows - 1):
+                for i in range(m):
+                    J[v, P + row - 8, i] = M[v, k, row, i]
         whitened = np.dot(whitening[k], J.reshape(V, n * m)).reshape(V, n, m)
         residuals = np.dot(whitening[k], r[k])
         for v in range(V):
             view_rows = whitened[v].astype(np.float64)
-            A[v, k] = np.dot(view_rows, view_rows.T)
-            score[v, k] = np.dot(view_rows, residuals[v].astype(np.float64))
+            np.dot(view_rows, view_rows.T, A[v, k])
+            np.dot(view_rows, residuals[v].astype(np.float64), score[v, k])
