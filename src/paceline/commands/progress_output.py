@@ -162,7 +162,7 @@ def progress_bar(activity: str, show: bool) -> Iterator[Progress | None]:
         task = bar.add_task(label, total=None)
 
         def report(count: int) -> None:
-            text = f"{ACTIVITY_LABELS[COMPILING_ACTIVITY]}: function {count + 1}"
+            text = f"{COMPILING_ACTIVITY}, once: function {count + 1}"
             bar.update(task, description=text, refresh=True)
 
         with compilations(report):
