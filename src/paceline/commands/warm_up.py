@@ -30,9 +30,13 @@ def warm_up(
 
 def _measure_simulated() -> None:
     """Finds and measures a simulated vehicle, on and off its path, and follows another one."""
+    import numpy as np
+
     from paceline.detection.search import find_vehicles
     from paceline.documents.loading import load_clip
     from paceline.follow.tracker import warm_up as warm_up_following
+    from paceline.path_following.pure_pursuit import goal_point, to_camera
+    from paceline.recordings.odometry import Pose
     from paceline.recordings.stereo import open_recording
     from paceline.simulation.stereo.clip import Scene, Vehicle, render, write
     from paceline.speed.configuration import SpeedConfiguration
@@ -46,3 +50,4 @@ def _measure_simulated() -> None:
         for motion in ("auto", "free"):
             measure_clip(clip, SpeedConfiguration(motion=motion))
     warm_up_following()
+    goal_point(to_camera(Pose(0.0, 0.0, 0.0), np.array([[1.0, 0.0], [2.0, 0.0]])), 1.5)  # of a path, by odometry
