@@ -87,8 +87,8 @@ class ReferenceView:
         gain, level = exposure_change(self._reduced, reduced_for_exposure(image))
         if gain < MIN_EXPOSURE_GAIN:
             return np.zeros(3), np.eye(3), 0.0
-        alike = to_8_bit((image - level) / gain)
-        tracked, found = track_forth_and_back(self.image, alike, self.corners, self.corners, *limits)
+        at_exposure = to_8_bit((image - level) / gain)
+        tracked, found = track_forth_and_back(self.image, at_exposure, self.corners, self.corners, *limits)
         if found.sum() < MIN_STATIC_CORNERS:
             return np.zeros(3), np.eye(3), 0.0
         before, after = self.corners[found], tracked[found]

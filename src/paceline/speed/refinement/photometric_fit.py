@@ -52,7 +52,7 @@ MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by
 # Standard deviations (px) of errors that all matches between the views have in common, by how both cameras sample the
 # same edges: along the epipolar lines, measured with benchmarks/bends.py, and across them, by the
 # offsets between the views that the fit finds in clips whose offset is known
-COMMON_DISPARITY_STD_PX, COMMON_EPIPOLAR_STD_PX = 0.006, 0.005
+COMMON_DISPARITY_STD_PX, COMMON_EPIPOLAR_STD_PX = 0.009, 0.005
 
 DEPTH_OFFSET_INFORMATION = np.linalg.inv(
     np.full((ROWS_PER_PATCH, ROWS_PER_PATCH), DEPTH_OFFSET_STD_M[0] ** 2)
