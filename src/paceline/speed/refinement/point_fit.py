@@ -27,8 +27,8 @@ CORNER_PLACE_STD_M = 10.0  # prior standard deviation of a corner's place: it de
 MEDIAN_ERROR_LENGTH = np.sqrt(2 * np.log(2))  # median length of a plane error of standard deviation 1 along each axis
 SCALE_ESTIMATION_STEPS, POINT_FIT_STEPS = 4, 8  # Gauss–Newton steps in which the errors' scale is estimated, and in all
 CONVERGED_POINT_STEP_SIGMA = 0.05  # largest step of a motion parameter, in its standard deviations, at the end
-# Correlation of the errors of both estimates, from the same pixels: 0.57 on 21 ray-traced straights, 0.62 and 0.70 on 24
-# drawn straights and 15 drawn bends, where a part of it is what all matches share
+# Correlation of the errors of both estimates, from the same pixels: 0.57 on 21 ray-traced straights, 0.62 and 0.70 on
+# 24 drawn straights and 15 drawn bends, where a part of it is what all matches share
 ESTIMATE_CORRELATION = 0.5
 OUTLINE_PARAMETERS = "log_depth", "normal_yaw", "normal_tilt"  # of the plane: corners have places of their own
 
@@ -66,8 +66,8 @@ class SecondEstimate:
         weights = 1.0 / (variances + 1.0 / (1.0 / variances).sum())
         weights /= weights.sum()
         birge_squared = max(1.0, self.difference**2 / float(variances.sum() - 2.0 * common))
-        parts = weights**2 * variances
-        variance = float(parts.sum() + 2.0 * weights.prod() * common)
+        parts = weights**2 * variances + weights.prod() * common  # each variance times the derivative by it
+        variance = float(parts.sum())
         mixed = weights[0] * photometric + weights[1] * self.covariance
         given_rig = birge_squared * variance / float(weights @ variances) * mixed
         # what is by noise in the rig's estimate, which is the photometric fit's alone, stays
@@ -77,7 +77,7 @@ class SecondEstimate:
             theta=refined.theta + weights[1] * (self.theta - refined.theta),
             covariance=given_rig + by_rig * refined.covariance,
             rig_estimate=None if rig is None else replace(rig, covariance=given_rig),
-            dof=variance**2 / float((parts**2 / [refined.dof, self.dof]).sum()),  # Satterthwaite 1946
+            dof=robust_covariance.effective_dof(parts, np.array([refined.dof, self.dof])),
         )
 
 
