@@ -158,7 +158,7 @@ def test_a_document_is_parsed_once_for_all_questions(tmp_path: Path, monkeypatch
     assert parsed == [file]
     file.write_text("left: [")  # and once for what is wrong with it
     for _ in range(3):
-        with pytest.raises(UnusableInput, match="line 1"):
+        with pytest.raises(UnusableInput, match="line 2, column 1"):
             check_document(root, file)
     assert parsed == [file, file]
 

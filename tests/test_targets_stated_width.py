@@ -16,7 +16,7 @@ def test_a_width_with_its_uncertainty(text: str) -> None:
     width = parse_width(text)
     assert (width.metres, width.half_width, width.assumed) == (1.7, 0.05, False)
     assert width.std == pytest.approx(0.05 / 1.96, rel=1e-3)
-    assert str(width) == "1.70 ± 0.05 m"
+    assert str(width) == "1.700 ± 0.050 m"
 
 
 def test_an_uncertainty_that_nobody_states_is_assumed() -> None:

@@ -105,14 +105,21 @@ def reduced_for_exposure(image: Image) -> Array:
 
 def exposure_change(before: Array, after: Array) -> tuple[float, float]:
     """The gain and the level (grey levels) by which most of the pixels ``after`` (N,) are those ``before`` (N,): a
-    robust line (Tukey's weights). Lucas–Kanade takes a change of exposure for a motion, which all corners share."""
-    X = np.column_stack([before, np.ones(len(before))])
-    line, weights = np.array([1.0, 0.0]), np.ones(len(before))
+    robust line (Tukey's weights). Lucas–Kanade takes a change of exposure for a motion, which all corners share.
+
+    As both pictures differ where the camera has turned, the gain is the ratio of their standard deviations (the reduced
+    major axis), not the slope by least squares, which would be too small.
+    """
+    gain, level = 1.0, 0.0
     for _ in range(EXPOSURE_FIT_STEPS):
-        residual = np.abs(after - X @ line)
+        residual = np.abs(after - gain * before - level)
         weights = tukey_weights(residual, max(1.4826 * float(np.median(residual)), MIN_EXPOSURE_RESIDUAL))
-        line = np.linalg.lstsq(X * np.sqrt(weights)[:, None], after * np.sqrt(weights), rcond=None)[0]
-    return float(line[0]), float(line[1])
+        weights /= weights.sum()
+        means = weights @ before, weights @ after
+        variances = weights @ (before - means[0]) ** 2, weights @ (after - means[1]) ** 2
+        gain = float(np.sqrt(variances[1] / variances[0])) if variances[0] > 0.0 else 0.0
+        level = float(means[1] - gain * means[0])
+    return gain, level
 
 
 def estimate_rotations(
