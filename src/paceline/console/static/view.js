@@ -43,6 +43,7 @@ export class View {
   }
 
   zoom(factor, at) {
+    this.resize(); // a canvas that has another size already, as beside what else the page shows now
     const before = this.toImage(at);
     this.scale = Math.min(Math.max(this.scale * factor, this.fitting / 2), 64);
     const after = this.toImage(at);
@@ -50,6 +51,7 @@ export class View {
   }
 
   show(points, room = 2.5) { // all of them, with room around
+    this.resize();
     const xs = points.map((p) => p[0]);
     const ys = points.map((p) => p[1]);
     const span = [Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys)];
