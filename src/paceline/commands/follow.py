@@ -11,7 +11,7 @@ import typer
 
 from paceline.commands import file_named
 from paceline.commands.interrupts import ended_by_interrupt
-from paceline.commands.progress_output import compilation_notice, progress_bar, range_line_writer
+from paceline.commands.progress_output import progress_stages, range_line_writer
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 from paceline.path_following.steering_goal import SteeringGoal
 
@@ -47,19 +47,9 @@ def follow_vehicle(
     configuration = FollowConfiguration(steering=steering)
     with OutputFolder(out) as folder:
         recording = open_camera(document)
-        show_progress = sys.stderr.isatty() and not quiet
-        notice = compilation_notice(not (quiet or show_progress))
-        with notice, _ended(recording):
+        with progress_stages(quiet) as stage, _ended(recording):
             on_frame = range_line_writer(document.target.name, recording.live)
-            result, tally = write_follow_files(
-                document,
-                recording,
-                folder,
-                configuration,
-                overlay,
-                lambda activity: progress_bar(activity, show_progress),
-                on_frame,
-            )
+            result, tally = write_follow_files(document, recording, folder, configuration, overlay, stage, on_frame)
     if not quiet:
         _print_follow(result, tally)
         print(f"\nReport: {out / 'report.html'}")

@@ -16,6 +16,7 @@ from paceline.progress import (
     COMPILING_ACTIVITY,
     PROGRESS_VARIABLE,
     Progress,
+    Stage,
     format_estimate,
     format_pictures,
     format_progress,
@@ -167,6 +168,15 @@ def progress_bar(activity: str, show: bool) -> Iterator[Progress | None]:
 
         with compilations(report):
             yield lambda done, total: bar.update(task, completed=done, total=total, description=label)
+
+
+@contextmanager
+def progress_stages(quiet: bool) -> Iterator[Stage]:
+    """The stages of a command: with progress bars, which show what is compiled, too, where standard error is a terminal
+    and the command is not ``quiet``; elsewhere with one notice of that."""
+    show = sys.stderr.isatty() and not quiet
+    with compilation_notice(not (quiet or show)):
+        yield lambda activity: progress_bar(activity, show)
 
 
 @contextmanager

@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paceline.commands import file_named, print_columns
-from paceline.commands.progress_output import compilation_notice, progress_bar, speed_line_writer
+from paceline.commands.progress_output import progress_stages, speed_line_writer
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
 from paceline.processor_cores import limit_cores
 from paceline.speed.choices import DeviceName, Motion, OverlayChoice
 
 if TYPE_CHECKING:  # what computes is imported when a command runs, so that --help answers at once
-    from contextlib import AbstractContextManager
-
-    from paceline.progress import Progress
     from paceline.speed.configuration import SpeedSettings
     from paceline.speed.results import ClipResult
     from paceline.units import SpeedUnit
@@ -164,14 +161,9 @@ def _measure(
     document = document if limit is None else document.with_limit(limit)
     if detector is not None and document.vehicles:
         raise UnusableInput(f"{document.path}: vehicles: --detector is to find them; expected none")
-    show_progress = sys.stderr.isatty() and not quiet  # which shows what is compiled, too
     # the folder before the work, so that one that cannot be written is reported at once
-    with OutputFolder(out) as folder, compilation_notice(not (quiet or show_progress)):
+    with OutputFolder(out) as folder, progress_stages(quiet) as stage:
         recording = open_recording(document)
-
-        def stage(activity: str) -> AbstractContextManager[Progress | None]:
-            return progress_bar(activity, show_progress)
-
         result = measure_recording(
             document,
             recording,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from paceline.commands import file_named, print_columns, refuse_read_only
-from paceline.commands.progress_output import compilation_notice, progress_bar
+from paceline.commands.progress_output import progress_stages
 from paceline.commands.speed import detector_of
 from paceline.errors import UnusableInput
 from paceline.exit_status import EXIT_DONE, EXIT_NOTHING_MEASURED
@@ -55,8 +54,7 @@ def vehicles(
         # refuses now what it would refuse at the end
         with_vehicles(file.read_text(encoding="utf-8"), str(file), document.rig, [])
     detect = None if detector is None else OnnxDetector(detector, settings.detection.score)
-    show_progress = sys.stderr.isatty() and not quiet
-    with compilation_notice(not (quiet or show_progress)), progress_bar("looking", show_progress) as advance:
+    with progress_stages(quiet) as stage, stage("looking") as advance:
         search = find_recorded_vehicles(document, open_recording(document), advance, detect, settings.configuration)
     if not quiet:
         _print(search)

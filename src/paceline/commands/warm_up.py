@@ -10,6 +10,7 @@ import typer
 
 from paceline.commands.progress_output import progress_bar
 from paceline.exit_status import EXIT_DONE
+from paceline.progress import COMPILING_ACTIVITY
 
 
 def warm_up(
@@ -20,7 +21,7 @@ def warm_up(
 
     if not quiet:
         print("compiling what speed, vehicles and follow need; it takes up to a minute", flush=True)
-    with compilations() as compiled, progress_bar("compiling", sys.stderr.isatty() and not quiet):
+    with compilations() as compiled, progress_bar(COMPILING_ACTIVITY, sys.stderr.isatty() and not quiet):
         _measure_simulated()
     if not quiet:
         what = f"{compiled.count} functions compiled" if compiled.count else "nothing to compile"

@@ -15,8 +15,9 @@ import numpy as np
 
 from paceline.arrays import Array, Image, Indices, Mask, to_8_bit
 from paceline.cameras import Camera
+from paceline.imaging.moving_features import reduced
 from paceline.imaging.point_tracking import track_forth_and_back
-from paceline.imaging.robust_weights import tukey_weights
+from paceline.imaging.robust_weights import robust_sigma, tukey_weights
 from paceline.progress import Progress
 from paceline.recordings.stereo import StereoFrame, StereoRecording
 
@@ -37,7 +38,7 @@ COMMON_MOTION_PX = 0.01
 SAMPLED_FRAMES = 60  # frames of a long recording that are looked at first
 MIN_LOG_ODDS = 3.0  # of a camera that turns over one that does not
 ROTATION_FIT_STEPS = 20
-EXPOSURE_REDUCTION = 8  # of pictures of which exposures are compared
+EXPOSURE_REDUCTION = 8  # of pictures of which exposures are compared: a turn of some pixels changes little of them
 EXPOSURE_FIT_STEPS = 5
 MIN_EXPOSURE_RESIDUAL = 0.5  # grey levels
 MIN_EXPOSURE_GAIN = 0.05  # of a picture that shows the same as another
@@ -73,7 +74,7 @@ class ReferenceView:
 
     def __init__(self, camera: Camera, image: Image) -> None:
         self.camera, self.image = camera, to_8_bit(image)
-        self._reduced = reduced_for_exposure(image)
+        self._reduced = reduced(image, EXPOSURE_REDUCTION)
         corners = cv2.goodFeaturesToTrack(
             self.image, MAX_STATIC_CORNERS, STATIC_CORNER_QUALITY, CORNER_DISTANCE_PX, blockSize=7
         )
@@ -84,7 +85,7 @@ class ReferenceView:
         if len(self.corners) < MIN_STATIC_CORNERS:
             return np.zeros(3), np.eye(3), 0.0
         limits = TRACKING_LEVELS, TRACKING_PRECISION_PX, MAX_CORNER_RETURN_PX
-        gain, level = exposure_change(self._reduced, reduced_for_exposure(image))
+        gain, level = exposure_change(self._reduced, reduced(image, EXPOSURE_REDUCTION))
         if gain < MIN_EXPOSURE_GAIN:
             return np.zeros(3), np.eye(3), 0.0
         at_exposure = to_8_bit((image - level) / gain)
@@ -97,23 +98,17 @@ class ReferenceView:
         return vector, covariance, float((distance < MAX_STATIC_RESIDUAL_PX).mean())
 
 
-def reduced_for_exposure(image: Image) -> Array:
-    """The grey levels (N,) of an ``image`` (H, W) reduced so far that a turn of some pixels changes little of them."""
-    size = tuple(max(n // EXPOSURE_REDUCTION, 1) for n in image.shape[::-1])
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), float).ravel()
-
-
-def exposure_change(before: Array, after: Array) -> tuple[float, float]:
-    """The gain and the level (grey levels) by which most of the pixels ``after`` (N,) are those ``before`` (N,): a
-    robust line (Tukey's weights). Lucas–Kanade takes a change of exposure for a motion, which all corners share.
+def exposure_change(before: Image, after: Image) -> tuple[float, float]:
+    """The gain and the level (grey levels) by which most of the pixels ``after`` (H, W) are those ``before`` (H, W):
+    a robust line (Tukey's weights). Lucas–Kanade takes a change of exposure for a motion, which all corners share.
 
     As both pictures differ where the camera has turned, the gain is the ratio of their standard deviations (the reduced
     major axis), not the slope by least squares, which would be too small.
     """
-    gain, level = 1.0, 0.0
+    before, after, gain, level = before.ravel().astype(float), after.ravel().astype(float), 1.0, 0.0
     for _ in range(EXPOSURE_FIT_STEPS):
         residual = np.abs(after - gain * before - level)
-        weights = tukey_weights(residual, max(1.4826 * float(np.median(residual)), MIN_EXPOSURE_RESIDUAL))
+        weights = tukey_weights(residual, robust_sigma(residual, MIN_EXPOSURE_RESIDUAL))
         weights /= weights.sum()
         means = weights @ before, weights @ after
         variances = weights @ (before - means[0]) ** 2, weights @ (after - means[1]) ** 2

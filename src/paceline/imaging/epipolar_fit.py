@@ -19,7 +19,7 @@ from paceline.arrays import Array
 from paceline.cameras import Quantity, StereoRig, perturbed_rig
 from paceline.geometry import epipolar_distance, homogeneous
 from paceline.imaging.feature_matches import Matches
-from paceline.imaging.robust_weights import tukey_weights
+from paceline.imaging.robust_weights import robust_sigma, tukey_weights
 
 MIN_MOVING_MATCHES = 12
 MIN_MATCH_RESIDUAL_PX = 0.03  # residuals of refined matches are at least those of interpolation
@@ -209,7 +209,7 @@ def _local_fit(
         scaled[group, group] *= FREE_PRECISION
     for step in range(RESIDUAL_FIT_STEPS if len(X) else 0):
         misfit = np.abs(residual - X @ x)
-        sigma = max(1.4826 * float(np.median(misfit)), MIN_MATCH_RESIDUAL_PX)
+        sigma = robust_sigma(misfit, MIN_MATCH_RESIDUAL_PX)
         weights = tukey_weights(misfit, sigma)
         of_matches = (X.T * weights) / (CORRELATED_MATCHES * sigma**2)
         information = of_matches @ X + scaled

@@ -83,9 +83,9 @@ def motion_mask(image: Image, other: Image) -> Mask:
     return np.asarray(cv2.morphologyEx(moving, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
 
 
-def reduced(image: Image) -> Image:
+def reduced(image: Image, reduction: int = PICTURE_REDUCTION) -> Image:
     """The ``image`` (H, W), reduced."""
-    size = (image.shape[1] // PICTURE_REDUCTION, image.shape[0] // PICTURE_REDUCTION)
+    size = max(image.shape[1] // reduction, 1), max(image.shape[0] // reduction, 1)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
