@@ -21,6 +21,7 @@ from paceline.speed.geometry.path_reconstruction import reconstruct, reconstruct
 from paceline.speed.geometry.paths import (
     Path,
     UndeterminedPath,
+    distance_beside,
     from_points,
     level_frames,
     plucker_line,
@@ -458,3 +459,17 @@ def test_a_surveyed_curve_goes_through_its_points(side):
     assert path.shape == "curve"
     for p in exact.points[:121]:
         assert np.linalg.norm(path.at(np.array(path.nearest(p))) - p) < 5e-3
+
+
+def test_beside_a_bend_the_distance_is_known_and_beyond_its_end_it_is_not():
+    angle = np.linspace(0.0, 0.5 * np.pi, 60)
+    bend = from_points("lane0", "curve", 40.0 * np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)]))
+    paths = [bend, bend.reversed()]
+    middle = np.array([np.sin(0.8), 0.0, np.cos(0.8)])
+    for radius in (38.0, 40.0, 61.0):
+        distance, known = distance_beside(paths, radius * middle)
+        assert known and distance == pytest.approx(abs(radius - 40.0), abs=0.01)
+    distance, known = distance_beside(paths, np.array([22.0, 0.0, -30.0]))  # 30 m on the path has left its bend
+    assert not known and distance == pytest.approx(18.0, abs=0.1)
+    line = from_points("lane0", "line", np.array([[0.0, 0.0, 10.0], [0.0, 0.0, 50.0]]))
+    assert distance_beside([line], np.array([20.0, 0.0, 90.0])) == (pytest.approx(20.0), True)

@@ -317,7 +317,7 @@ _WARNING_ROWS = {
         "Draw another road line, in both views: one that does not run sideways through the images.",
     ),
     "path_not_followed": (
-        "does not drive along path {path}: measured without it",
+        "does not drive along path {path} as far as its drawing determines it: measured without it",
         "Draw the road line along which it drives, in both views, or give the vehicle no path.",
     ),
     "outline_beside_vehicle": (

@@ -19,7 +19,7 @@ from paceline.speed.filter.initialization import is_heading_known
 from paceline.speed.filter.tracker import Tracker
 from paceline.speed.geometry.fitted_arc import fit_arc, travel_along
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
-from paceline.speed.geometry.paths import Path, path_ahead
+from paceline.speed.geometry.paths import Path, distance_beside, path_ahead
 from paceline.speed.methods import OnEstimate
 from paceline.speed.refinement.keyframes import Keyframe, exposures
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
@@ -53,22 +53,14 @@ class VehicleMeasurement:
         self.rig, self.vehicle, self.configuration = clip.rig, vehicle, configuration
         self.offset = clip.offset
         self.limits = configuration.limits
-        on_path = vehicle.path if vehicle.path in drawn else None
-        self.path = drawn[on_path] if on_path is not None else None
-        offset = clip.paths[on_path].lateral_offset if on_path is not None else 0.0
+        drawn_path = drawn.get(vehicle.path) if vehicle.path is not None else None
+        self.path = None if drawn_path is None else _path_beside(clip, vehicle, drawn_path, configuration)
+        offset = clip.paths[self.path.name].lateral_offset if self.path is not None else 0.0
         self.tracker = batch.add(Tracker(clip.rig, vehicle, self.path, offset, configuration, batch.device))
-        if self.path is not None:
-            centre = self.tracker.plane.centre
-            nearest = [path.at(np.array(path.nearest(centre))) for path in self.tracker.candidate_paths]
-            distance = min(float(np.linalg.norm(place - centre)) for place in nearest)
-            if not distance < MAX_PATH_DISTANCE_M:
-                raise UnusableInput(
-                    f"{clip.path}: paths.{on_path}: passes {distance:.0f} m beside vehicle {vehicle.id}; "
-                    "expected a line along which it drives, and lateral_offset in metres"
-                )
         self.estimates: list[Estimate] = []
         self.keyframes: list[Keyframe] = []
         self._stride = 1  # frames from one keyframe to the next
+        self._has_drawn_path = drawn_path is not None
         self._is_off_path = False  # whether the vehicle does not drive along its drawn path
         self._last_is_extra = False  # whether the last keyframe is beside this stride
 
@@ -134,7 +126,7 @@ class VehicleMeasurement:
         other to tell it: a negative speed means the other direction, unless that gives a negative one, too."""
         speed = float(np.mean([e.speed for e in self.estimates[1:] if e.status == "tracking"]))
         drawn = self._drawn_path()
-        self._is_off_path = self.path is not None and drawn is None
+        self._is_off_path = self._has_drawn_path and drawn is None
         refined = self._refine_from(speed, drawn)
         if drawn is not None:
             (other,) = (path for path in self.tracker.candidate_paths if path is not drawn)
@@ -365,6 +357,24 @@ class VehicleMeasurement:
             refined_std=refined_std,
             hidden=hidden & np.array([e.status == "tracking" for e in E], bool),
         )
+
+
+def _path_beside(clip: Clip, vehicle: VehicleDocument, path: Path, configuration: SpeedConfiguration) -> Path | None:
+    """The drawn ``path``, if it passes next to a ``vehicle``; None where it is not known there.
+
+    Raises UnusableInput where it is known and elsewhere.
+    """
+    centre = plane_from_outlines(clip.rig, vehicle, path, configuration.click_sigma).centre
+    offset = clip.paths[path.name].lateral_offset
+    distance, is_known = distance_beside([p.shifted(offset) for p in (path, path.reversed())], centre)
+    if distance < MAX_PATH_DISTANCE_M:
+        return path
+    if not is_known:
+        return None
+    raise UnusableInput(
+        f"{clip.path}: paths.{path.name}: passes {distance:.0f} m beside vehicle {vehicle.id}; "
+        "expected a line along which it drives, and lateral_offset in metres"
+    )
 
 
 def _lost_after_occlusion(estimates: list[Estimate]) -> list[Estimate]:

@@ -132,6 +132,18 @@ class Path:
         return Path(self.name, self.shape, s, self.points[::-1].copy(), self.modes[:, ::-1].copy())
 
 
+def distance_beside(paths: Sequence[Path], place: Array) -> tuple[float, bool]:
+    """The distance (m) at which the nearest of the ``paths`` passes a ``place`` (3,), and whether it is known there: a
+    curve is not beyond its ends, where it runs on straight, and the road need not."""
+    distances, known = [], []
+    for path in paths:
+        s = path.nearest(place)
+        distances.append(float(np.linalg.norm(path.at(np.array(s)) - place)))
+        known.append(path.shape == "line" or bool(path.s[0] <= s <= path.s[-1]))
+    nearest = int(np.argmin(distances))
+    return distances[nearest], known[nearest]
+
+
 def path_ahead(paths: Sequence[Path], place: Array, direction: Array) -> Path:
     """That of the ``paths`` which, next to a ``place`` (3,), goes most nearly in the ``direction`` (3,)."""
     return max(paths, key=lambda path: float(direction @ path.direction_near(place)))
