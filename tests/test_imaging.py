@@ -30,7 +30,7 @@ from paceline.imaging.camera_rotation import (
 from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals, velocity_across
 from paceline.imaging.feature_matches import NO_MATCHES, InstantFeatures, Matches, match_static, velocity_and_growth
 from paceline.imaging.moving_features import moving_features
-from paceline.imaging.outline_motion import match_template
+from paceline.imaging.outline_motion import match_template, place_between_views
 from paceline.recordings.live_stereo import LiveStereo
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.stereo.clip import render, write
@@ -533,3 +533,18 @@ def test_a_template_is_found_at_its_place_and_scale(side):
     found, growth = match_template(picture, cv2.warpAffine(picture, affine, (400, 300)), quad, 40.0)
     np.testing.assert_allclose(found, shift, atol=1.5)
     assert growth == pytest.approx(scale, abs=0.05)
+
+
+def test_a_place_is_found_between_the_views_by_what_the_outline_shows():
+    """A picture at 30 m, seen by both cameras: the right one shows it shifted by its disparity."""
+    camera = Camera((400, 300), np.array([[900.0, 0.0, 200.0], [0.0, 900.0, 150.0], [0.0, 0.0, 1.0]]))
+    rig = StereoRig(camera, camera, np.eye(3), np.array([-0.5, 0.0, 0.0]))
+    picture = cv2.GaussianBlur(np.random.default_rng(3).uniform(0, 255, (300, 400)).astype(np.float32), (0, 0), 2.0)
+    disparity = 900.0 * 0.5 / 30.0
+    shifted = cv2.warpAffine(picture, np.array([[1.0, 0.0, -disparity - 0.3], [0.0, 1.0, 0.0]]), (400, 300))
+    outline = np.array([[0, 0], [40, 0], [40, 30], [0, 30]]) + np.array([180.3, 120.6])
+    place = place_between_views(rig, outline, (picture, shifted), np.array([24.0, 40.0]))
+    assert place is not None
+    np.testing.assert_allclose(rig.left.project(place), outline.mean(0))
+    assert place[2] == pytest.approx(900.0 * 0.5 / (disparity + 0.3), rel=0.01)
+    assert place_between_views(rig, outline - [175.0, 0.0], (picture, shifted), np.array([24.0, 40.0])) is None

@@ -12,6 +12,7 @@ from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.geometry import triangulate
 from paceline.imaging.moving_features import PICTURE_REDUCTION, reduced
+from paceline.subpixel import parabola_peak_at
 
 SCALE_CANDIDATES = np.geomspace(0.72, 1.4, 23)  # of the template from the first frame to the second
 MAX_SPEED_MPS = 60.0  # of a vehicle whose template is looked for
@@ -20,6 +21,7 @@ MIN_REDUCED_TEMPLATE_PX = 12  # least side of a template that is looked for in t
 MAX_REDUCED_SHIFT_PX = 4.0  # … which tells its place to this
 ALIGNMENT_SMOOTHING_PX = 1.0
 RIM_SHARE = 0.05  # of an outline's width and height that is not aligned
+EPIPOLAR_MARGIN_PX = 3  # by which a match in the other view may be off its epipolar line
 MAX_ALIGNMENT_SHARE = 0.25  # by which an alignment may move a corner, as a share of the outline's shorter side
 
 
@@ -75,6 +77,25 @@ def _aligned(first: Image, second: Image, outline: Array, expected: Array) -> Ar
     aligned = (outline - corner) @ affine[:, :2].T + affine[:, 2]
     distance = np.linalg.norm(aligned - expected, axis=1).max()
     return np.asarray(aligned) if distance < MAX_ALIGNMENT_SHARE * np.ptp(expected, axis=0).min() else expected
+
+
+def place_between_views(rig: StereoRig, left: Array, views: tuple[Image, Image], depths: Array) -> Array | None:
+    """The place (3,) m of the middle of what the outline ``left`` (4, 2) px shows in the left one of the ``views`` (H,
+    W), by its best match in the right one at ``depths`` between these two (2,); None where it is outside a view."""
+    corner = np.floor(left.min(0)).astype(int)
+    end = np.ceil(left.max(0)).astype(int) + 1
+    half, middle = (end - corner) / 2, (corner + end - 1) / 2
+    expected = rig.right.project(rig.to_right(rig.left.rays(middle) * depths[:, None]))
+    first = np.floor(expected.min(0) - half).astype(int) - EPIPOLAR_MARGIN_PX
+    last = np.ceil(expected.max(0) + half).astype(int) + EPIPOLAR_MARGIN_PX
+    if min(*corner, *first) < 0 or (np.maximum(end, last) > views[0].shape[::-1]).any():
+        return None
+    template = views[0][corner[1] : end[1], corner[0] : end[0]]
+    window = views[1][first[1] : last[1], first[0] : last[0]]
+    scores = np.asarray(cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED), float)
+    y, x = (int(k) for k in np.unravel_index(int(np.argmax(scores)), scores.shape))
+    peak = np.array([x + parabola_peak_at(scores[y], x), y + parabola_peak_at(scores[:, x], y)])
+    return np.asarray(rig.left.rays(left.mean(0)) * triangulate(rig, middle, first + peak + half - 0.5)[2])
 
 
 def match_template(first: Image, second: Image, quad: Array, reach: float) -> tuple[Array, float]:

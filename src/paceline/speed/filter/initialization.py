@@ -11,7 +11,7 @@ import numpy as np
 from paceline.arrays import Array, Image
 from paceline.cameras import StereoRig
 from paceline.documents.loading import VehicleDocument
-from paceline.imaging.outline_motion import match_template
+from paceline.imaging.outline_motion import SCALE_CANDIDATES, match_template, place_between_views
 from paceline.recordings.stereo import StereoFrame
 from paceline.speed.configuration import SpeedConfiguration
 from paceline.speed.filter import motion_models
@@ -84,7 +84,7 @@ class Initialization:
         candidate is kept. Registration starts from its weighted mean; the particles are drawn anew about the speed that
         it finds, because the weights would leave too few of them to represent its uncertainty.
         """
-        dt, images = frame.time - first.time, (first.left, frame.left)
+        dt, images = frame.time - first.time, (first.left, frame.left, frame.right)
         prior = operator_speed(self.vehicle, self.configuration)
         outcomes = []
         for motion in self.motions:
@@ -111,7 +111,7 @@ class Initialization:
         frame: StereoFrame,
         likeliest: ParticleSet,
         start: State,
-        images: tuple[Image, Image],
+        images: tuple[Image, Image, Image],
         dt: float,
     ) -> tuple[ParticleSet, PlaneObservation | None]:
         """Particles drawn anew about the speed that registration finds from the ``likeliest`` ones, and where it finds
@@ -146,14 +146,15 @@ class Initialization:
         self,
         start: State,
         motion: PathMotion | FreeMotion,
-        images: tuple[Image, Image],
+        images: tuple[Image, Image, Image],
         dt: float,
         prior: SpeedPrior | None,
     ) -> State:
-        """``start`` with drawn motions; ``images`` are the left ones of the first and the second frame."""
+        """``start`` with drawn motions; ``images`` are the left one of the first frame and both of the
+        second."""
         if isinstance(motion, PathMotion):
             return draw_path_start(start, self.plane, motion, self.rig, prior, self.configuration, self.rng)
-        state = draw_free_start(start, self.plane, self.rig, self.vehicle, *images, dt, self.configuration, self.rng)
+        state = draw_free_start(start, self.plane, self.rig, self.vehicle, images, dt, self.configuration, self.rng)
         return self.turn_start(state, dt) if isinstance(motion, CoordinatedTurn) else state
 
     def turn_start(self, state: State, dt: float) -> State:
@@ -261,22 +262,29 @@ def draw_free_start(
     plane: InitialPlane,
     rig: StereoRig,
     vehicle: VehicleDocument,
-    first: Image,
-    second: Image,
+    images: tuple[Image, Image, Image],
     dt: float,
     configuration: SpeedConfiguration,
     rng: np.random.Generator,
 ) -> State:
-    """``state`` with velocities drawn about the one by which the left view's template moved and grew."""
+    """``state`` with velocities drawn about the one by which the left view's template moved, to the depth of its match
+    in the right view, or where it is outside this to that by which it grew; ``images`` are the left one of the first
+    frame and both of the second."""
     fastest = 1.3 * vehicle.speed if vehicle.speed else configuration.start.speed_range[1]
     focal = rig.left.K[0, 0]
-    before = plane.centre
-    shift, growth = match_template(first, second, vehicle.left, fastest * dt * focal / before[2])
-    after = rig.left.rays(vehicle.left.mean(0) + shift) * before[2] / growth
-    size = float(np.sqrt(np.prod(np.ptp(vehicle.left, axis=0))))
+    before, middle = plane.centre, vehicle.left.mean(0)
+    shift, growth = match_template(images[0], images[1], vehicle.left, fastest * dt * focal / before[2])
+    moved = middle + shift + growth * (vehicle.left - middle)
+    displaced = rig.displaced(vehicle.displacement)
+    after = place_between_views(displaced, moved, images[1:], before[2] / SCALE_CANDIDATES[[0, -1]])
+    if after is None:
+        after = rig.left.rays(middle + shift) * before[2] / growth
+        depth_std = TEMPLATE_MATCH_SIGMA_PX * before[2] / float(np.sqrt(np.prod(np.ptp(vehicle.left, axis=0))))
+    else:
+        depth_std = TEMPLATE_MATCH_SIGMA_PX * after[2] ** 2 / (focal * displaced.baseline)
     N = len(state)
     across = rng.normal(0.0, TEMPLATE_MATCH_SIGMA_PX * before[2] / focal / dt, (N, 3))
-    along = rng.normal(0.0, TEMPLATE_MATCH_SIGMA_PX * before[2] / size / dt, (N, 1)) * before / np.linalg.norm(before)
+    along = rng.normal(0.0, depth_std / dt, (N, 1)) * before / np.linalg.norm(before)
     velocity = (after - before) / dt + across + along
     return replace(state, velocity=velocity, speed=np.linalg.norm(velocity, axis=1))
 
