@@ -35,6 +35,7 @@ from paceline.speed.joint_calibration import (
 )
 from paceline.speed.measurement import measure_clip
 from paceline.speed.results import Measurement, RigInformation, Synchronisation, Track
+from paceline.units import COVERAGE_95
 
 NEIGHBOURS, WINDOW_S = DEFAULTS.joint_calibration.neighbours, DEFAULTS.joint_calibration.window_s
 Array = NDArray[np.float64]
@@ -346,7 +347,8 @@ def test_the_rig_information_belongs_to_the_reported_speed(tmp_path: Path) -> No
     right = corrected(m, CanonicalGaussian(precision, precision @ m.rig_information.offset))
     assert right.speed == pytest.approx(m.speed, abs=1e-9)
     assert right.systematic_std < 1e-4 and right.random_std < m.random_std
-    assert right.speed_hi - right.speed > 2.1 * right.random_std  # of few frames and patches
+    assert m.rig_information.half_width > COVERAGE_95 * m.rig_information.mean_speed_std  # of few frames and patches
+    assert right.speed_hi - right.speed == pytest.approx(m.rig_information.half_width, rel=1e-3)
     rows = np.isfinite(m.track.refined_std)
     assert (right.track.refined_std[rows] < m.track.refined_std[rows]).all()
     left = np.linalg.inv(np.eye(len(precision)) + m.rig_information.information)

@@ -805,11 +805,14 @@ def test_the_covariance_by_matching_equals_refits_with_shifted_right_views(
     shift = np.zeros((3, 3))
     along = rig.t[:2] / np.linalg.norm(rig.t[:2])
     effects = []
-    for shift[:2, 2] in (COMMON_DISPARITY_STD_PX * along, COMMON_EPIPOLAR_STD_PX * along[::-1] * [-1, 1]):
+    _, known, between = fit.matching_response()
+    assert (known == [COMMON_DISPARITY_STD_PX, COMMON_EPIPOLAR_STD_PX]).all() and (between > 0.0).all()
+    stds = np.hypot(known, between)
+    for shift[:2, 2] in (stds[0] * along, stds[1] * along[::-1] * [-1, 1]):
         rigs = [replace(rig, right=replace(rig.right, K=rig.right.K + step * shift)) for step in (-5.0, 5.0)]
         behind, ahead = (mean @ refitted(fit, replace(fit.trajectory, rig=r)).theta for r in rigs)
         effects.append((ahead - behind) / 10)
-    assert np.hypot(*effects) == pytest.approx(np.sqrt(mean @ fit.matching_covariance @ mean), rel=0.05)
+    assert np.hypot(*effects) == pytest.approx(np.sqrt(mean @ fit.matching_error()[0] @ mean), rel=0.05)
 
 
 def test_the_response_to_the_rig_equals_refits_with_a_moved_rig(

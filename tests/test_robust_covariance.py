@@ -18,6 +18,7 @@ from paceline.speed.refinement.robust_covariance import (
     covariance,
     effective_dof,
     mean_of_estimates,
+    scatter_of_shifts,
 )
 
 sizes = st.integers(1, 9)
@@ -116,3 +117,27 @@ def test_what_is_known_by_the_prior_has_no_limited_degrees_of_freedom() -> None:
     np.testing.assert_array_equal(C.total, scatter + prior)
     assert C.dof(np.array([1.0, 0.0]), 10) == pytest.approx(9.0)
     assert C.dof(np.array([0.0, 1.0]), 10) == pytest.approx(36.0)
+
+
+@pytest.mark.parametrize("textureless", [False, True])
+def test_the_scatter_of_shifts_is_that_of_a_fit_to_each_patch(textureless: bool) -> None:
+    """Least squares over the shifts and the patch's own parameters; a patch without texture does not count."""
+    rng = np.random.default_rng(4)
+    J, r = rng.normal(size=(6, 40, 7)), rng.normal(size=(6, 40))
+    J *= np.arange(1, 7)[:, None, None]
+    if textureless:
+        J[0] = 0.0
+    prior = np.diag([0.0, 0.0, 0.0, 0.0, 2.0, 2.0, 2.0])
+    normal = np.swapaxes(J, 1, 2) @ J + prior
+    shifts, left = [1, 2], []
+    for rows, residuals in zip(J[textureless:], r[textureless:], strict=True):
+        stacked = np.concatenate([rows[:, 1:3], rows[:, 4:]], axis=1)
+        stacked = np.concatenate([stacked, np.sqrt(2.0) * np.eye(5)[2:]])
+        left.append(-np.linalg.lstsq(stacked, np.append(residuals, np.zeros(3)), rcond=None)[0][:2])
+    weights = []
+    for A in normal[textureless:]:
+        covariance = np.linalg.inv(A[np.ix_([1, 2, 4, 5, 6], [1, 2, 4, 5, 6])])[:2, :2]
+        weights.append(np.diag(np.linalg.inv(covariance)))
+    expected = [np.sqrt(np.cov(np.array(left)[:, i], aweights=np.array(weights)[:, i], ddof=0)) for i in range(2)]
+    found = scatter_of_shifts(normal, np.einsum("kij,ki->kj", J, r), shifts, 3)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)

@@ -51,7 +51,8 @@ class RefinedMotion:
     motion_terms: tuple[str, ...]  # of MOTION_TERMS, chosen by their evidence
     prior: Prior  # of the chosen model
     deviation_sigma: float  # RMS over the modes of the deviation from the path, in prior standard deviations
-    dof: float  # effective degrees of freedom of the mean speed's variance by the covariance
+    dof: float  # effective degrees of freedom of the mean speed's variance by the covariance, …
+    matching_dof: float  # … and by the matching_covariance
     converged: bool
     reference: ReferencePoint = ReferencePoint()  # whose speed it is
 
@@ -115,10 +116,10 @@ class RefinedMotion:
 
     def noise_dof(self, covariance: Array) -> float:
         """Effective degrees of freedom of the mean speed's variance from noise, of which the ``covariance`` (n, n) has
-        ``dof`` and what all matches share is known."""
+        ``dof``, by all that it and what all matches share have."""
         g = self.trajectory.mean_speed_gradient
         variances = np.array([g @ C @ g for C in (covariance, self.matching_covariance)])
-        return robust_covariance.effective_dof(variances, np.array([self.dof, np.inf]))
+        return robust_covariance.effective_dof(variances, np.array([self.dof, self.matching_dof]))
 
     def mean_speed(self) -> tuple[float, float, float, float]:
         """The mean speed and its standard deviations from noise, model choice and calibration; m/s."""
@@ -172,6 +173,7 @@ def refine(
     chosen, fit = fit, fit.with_view_dependence()
     offset, theta, variance = fit.average_over_grids()
     reduction = variance / fit.mean_speed_variance
+    matching_covariance, matching_dof = fit.matching_error()
     # Bayesian model averaging: a model that was not chosen keeps its posterior probability
     probabilities = np.exp([0.0, *(evidence - log_odds for evidence, _ in others)])
     probabilities /= probabilities.sum()
@@ -188,7 +190,7 @@ def refine(
         fit.rig_shift_sigma,
         theta,
         reduction * covariance,
-        fit.matching_covariance,
+        matching_covariance,
         model_covariance,
         fit.systematic_covariance,
         fit.rig_estimate(offset, reduction * given_rig),
@@ -199,6 +201,7 @@ def refine(
         fit.prior,
         fit.deviation_sigma,
         fit.dof,
+        matching_dof,
         fit.converged,
         fit.reference_point,
     )

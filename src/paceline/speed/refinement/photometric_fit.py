@@ -53,6 +53,10 @@ MIN_INFORMATION_SHARE = 0.05  # least reduction of a rig direction's variance by
 # same edges: along the epipolar lines, measured with benchmarks/bends.py, and across them, by the
 # offsets between the views that the fit finds in clips whose offset is known
 COMMON_DISPARITY_STD_PX, COMMON_EPIPOLAR_STD_PX = 0.009, 0.005
+# Standard deviation of a further common error, as gloss shows both cameras another picture of the surface, over that
+# between the patches: what of their errors is common does not show between them, but is the larger where they differ.
+# Measured with benchmarks/bends.py on 41 ray-traced clips
+COMMON_SHIFT_RATIO = 0.7
 
 DEPTH_OFFSET_INFORMATION = np.linalg.inv(
     np.full((ROWS_PER_PATCH, ROWS_PER_PATCH), DEPTH_OFFSET_STD_M[0] ** 2)
@@ -368,26 +372,37 @@ class PhotometricFit:
             cells[level.views] += s
         return cells_A, cells
 
-    @property
-    def matching_covariance(self) -> Array:
+    def matching_error(self) -> tuple[Array, float]:
         """Covariance (n, n) of all parameters by errors that all matches between the views share, along and across the
-        epipolar lines."""
+        epipolar lines, and the effective degrees of freedom of the mean speed's variance by it, as a tuple."""
+        response, known, between = self.matching_response()
+        by_shift = np.square(self.trajectory.mean_speed_gradient @ response)
+        variances = np.array([by_shift @ stds**2 for stds in (known, between)])
+        dof = robust_covariance.effective_dof(variances, np.array([np.inf, len(self.depth_offsets) - 1.0]))
+        return np.asarray(response * (known**2 + between**2) @ response.T), dof
+
+    def matching_response(self) -> tuple[Array, Array, Array]:
+        """Derivatives (n, 2) of all parameters by a shift of the right view by 1 px along and across the epipolar
+        lines, and the standard deviations (2,) px of such shifts that all matches share: known beforehand, and (2,) by
+        what the patches tell, as a tuple."""
         H, H_d = (h.reshape(-1, 3, 3) for h in self.trajectory.homographies(self.theta))
         (x, y) = self.trajectory.rig.t[:2] / np.linalg.norm(self.trajectory.rig.t[:2])
-        axes = np.array([[COMMON_DISPARITY_STD_PX * x, -COMMON_EPIPOLAR_STD_PX * y],
-                         [COMMON_DISPARITY_STD_PX * y, COMMON_EPIPOLAR_STD_PX * x]])  # fmt: skip
         shift = np.zeros((*H.shape, 2))
-        shift[1::2, :2] = axes[:, None] * H[1::2, 2:, :, None]
+        shift[1::2, :2] = np.array([[x, -y], [y, x]])[:, None] * H[1::2, 2:, :, None]
         jacobian = self._homography_jacobian(H)
         shared = jacobian.shape[-1]
-        cells_A, _ = self._assemble_cells(H, H_d, np.concatenate([jacobian, shift], axis=-1))
+        cells_A, cells = self._assemble_cells(H, H_d, np.concatenate([jacobian, shift], axis=-1))
         A = robust_covariance.assemble(cells_A, shared + 3)
         shifts = [shared, shared + 1]
         others = np.delete(np.arange(len(A)), shifts)
         fitted = A[np.ix_(others, others)] + self._prior_information(self._rig.prior_weight)
         response = np.zeros((len(self.theta), 2))
         response[self.prior.free] = np.linalg.solve(fitted, A[np.ix_(others, shifts)])[: len(self.prior.free)]
-        return np.asarray(response @ response.T)
+        by_patch = cells_A.sum(0), cells.sum(0)
+        by_patch[0][:, -ROWS_PER_PATCH:, -ROWS_PER_PATCH:] += DEPTH_OFFSET_INFORMATION
+        by_patch[1][:, -ROWS_PER_PATCH:] += self.depth_offsets @ DEPTH_OFFSET_INFORMATION
+        between = robust_covariance.scatter_of_shifts(*by_patch, shifts, ROWS_PER_PATCH)
+        return response, np.array([COMMON_DISPARITY_STD_PX, COMMON_EPIPOLAR_STD_PX]), COMMON_SHIFT_RATIO * between
 
     def _prior_information(self, rig_information: float) -> Array:
         """Prior information matrix of the free parameters, the rig's offset (``rig_information`` in each direction), γ

@@ -6,6 +6,7 @@ Normal equations come in *cells*, one for each patch of each view: matrices (vie
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,6 +106,23 @@ def _corrected_score(A: Array, A_i: Array, s: Array) -> Array:
     share, V = eigh(A_i, A)
     enlarged = 1.0 / np.sqrt(np.maximum(1.0 - share, MIN_INFORMATION_LEFT))
     return np.asarray(s + A @ V @ ((enlarged - 1.0) * (V.T @ s)))
+
+
+def scatter_of_shifts(patches_A: Array, patches: Array, shifts: Sequence[int], own: int) -> Array:
+    """Standard deviations (2,) over K patches of what is left of two shifts in each, weighted by their information.
+
+    ``patches_A`` (K, m, m) and ``patches`` (K, m) are the patches' normal equations, the last ``own`` of whose
+    parameters are the patch's own and are eliminated; ``shifts`` are the indices of the two.
+    """
+    of_shifts = np.array(shifts)
+    border = patches_A[:, of_shifts, -own:]
+    eliminated = border @ np.linalg.inv(patches_A[:, -own:, -own:])
+    information = patches_A[:, of_shifts[:, None], of_shifts] - eliminated @ np.swapaxes(border, 1, 2)
+    score = patches[:, of_shifts] - (eliminated @ patches[:, -own:, None])[..., 0]
+    left = -(np.linalg.pinv(information, hermitian=True) @ score[..., None])[..., 0]
+    weights = np.diagonal(information, axis1=1, axis2=2)
+    mean = (weights * left).sum(0) / weights.sum(0)
+    return np.asarray(np.sqrt((weights * (left - mean) ** 2).sum(0) / weights.sum(0)))
 
 
 def mean_of_estimates(values: Array, variances: Array) -> tuple[Array, float]:
