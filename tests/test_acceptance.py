@@ -41,7 +41,7 @@ def refined(explained: list[float], off: float = 0.0, converged: bool = True) ->
     offsets = np.where(np.isnan(both)[..., None], np.nan, [off, 0.0])
     trajectory = cast(Trajectory, None)  # not used
     theta, covariances, shifts = np.zeros(1), [np.zeros((1, 1))] * 4, np.zeros(3)
-    fit = 1.0, 10.0, offsets, both, (), cast(Prior, None), 0.0, 9.0, converged
+    fit = 1.0, 10.0, 1.0, offsets, both, (), cast(Prior, None), 0.0, 9.0, np.inf, converged
     return RefinedMotion(trajectory, shifts, theta, *covariances, None, *fit)
 
 

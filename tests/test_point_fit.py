@@ -168,7 +168,7 @@ def refined_motion(speed: float, std: float, matching_std: float = 0.0) -> Refin
     and by what all matches share."""
     covariance, matching = (np.array([[s**2]]) for s in (std, matching_std))
     zeros, trajectory = np.zeros((1, 1)), cast(Trajectory, SimpleNamespace(mean_speed_gradient=np.ones(1)))
-    images = 1.0, 10.0, np.zeros((9, 2, 2)), np.ones((9, 2)), (), cast(Prior, None), 0.0, 9.0, True
+    images = 1.0, 10.0, 1.0, np.zeros((9, 2, 2)), np.ones((9, 2)), (), cast(Prior, None), 0.0, 9.0, np.inf, True
     return RefinedMotion(trajectory, np.zeros(1), np.array([speed]), covariance, matching, zeros, zeros, None, *images)
 
 

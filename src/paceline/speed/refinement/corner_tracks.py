@@ -15,6 +15,7 @@ import numpy as np
 from paceline.arrays import Array, Floats, to_8_bit
 from paceline.imaging.point_tracking import WINDOW_PX, track_forth_and_back
 from paceline.speed.refinement.keyframes import Keyframe
+from paceline.speed.refinement.pyramid import band_pass
 from paceline.speed.refinement.trajectory import corners_of
 
 REFERENCE_VIEWS = 3  # left views in which corners are found: the first, the middle and the last one
@@ -47,16 +48,18 @@ class CornerTracks:
     information: Array
 
 
-def track_corners(keyframes: Sequence[Keyframe], homographies: Array) -> CornerTracks:
+def track_corners(keyframes: Sequence[Keyframe], homographies: Array, gamma: float) -> CornerTracks:
     """Corners of the region tracked through F ``keyframes``, from ``homographies`` (F, 2, 3, 3) of the unit square to
-    both views."""
+    both views, of cameras whose grey values are light to the power 1 / ``gamma``."""
     H = homographies.reshape(-1, 3, 3)
     references = np.unique(np.linspace(0, len(keyframes) - 1, REFERENCE_VIEWS).round().astype(int))
-    tracks = [_track_from(2 * int(k), keyframes, H) for k in references]
+    tracks = [_track_from(2 * int(k), keyframes, H, gamma) for k in references]
     return CornerTracks(*(np.concatenate(values) for values in zip(*tracks, strict=True)))
 
 
-def _track_from(reference: int, keyframes: Sequence[Keyframe], H: Array) -> tuple[Array, Array, Array, Array]:
+def _track_from(
+    reference: int, keyframes: Sequence[Keyframe], H: Array, gamma: float
+) -> tuple[Array, Array, Array, Array]:
     """What `CornerTracks` holds, of the corners of one ``reference`` view."""
     sides = _side_lengths(H)
     margin = WINDOW_PX[0]
@@ -70,7 +73,7 @@ def _track_from(reference: int, keyframes: Sequence[Keyframe], H: Array) -> tupl
         return np.zeros((0, 2)), np.zeros((0, len(H), 2)), np.zeros((0, *H.shape)), np.zeros((0, len(H)))
     used = np.flatnonzero(shown & (ratio < MAX_SIZE_RATIO) & (ratio > 1 / MAX_SIZE_RATIO)).tolist()
     blur = LENS_BLUR_STD_PX * float(scale[used].max())
-    views = {v: _resampled(keyframes[v // 2], v % 2, resampling[v], size, blur, scale[v]) for v in used}
+    views = {v: _resampled(keyframes[v // 2], v % 2, resampling[v], size, blur, scale[v], gamma) for v in used}
     template = views.pop(reference)
     corners = _corners(template, size)
     pixels, information = np.zeros((len(corners), len(H), 2)), np.zeros((len(corners), len(H)))
@@ -101,13 +104,15 @@ def _side_lengths(H: Array) -> Array:
     return np.stack([np.linalg.norm(sides, axis=-1).mean(1) for sides in (across, down)], axis=1)
 
 
-def _resampled(keyframe: Keyframe, side: int, resampling: Array, size: Array, blur: float, scale: float) -> Floats:
+def _resampled(
+    keyframe: Keyframe, side: int, resampling: Array, size: Array, blur: float, scale: float, gamma: float
+) -> Floats:
     """A view resampled with a margin of one window around the region, as sharp as a lens of ``blur`` px would make it,
-    and of the same mean and contrast as all others."""
+    which blurs light, and of the same mean and contrast as all others."""
     image, margin = np.asarray(keyframe.crops[side], np.float32), WINDOW_PX[0]
     further = np.sqrt(max((blur / scale) ** 2 - LENS_BLUR_STD_PX**2, 0.0))  # px of the view
     if further > 0.0:
-        image = np.asarray(cv2.GaussianBlur(image, (0, 0), float(further)), np.float32)
+        image = band_pass(image, [float(further)], gamma)
     shift = np.eye(3)
     shift[:2, 2] = -keyframe.origins[side]
     shape = np.ceil(size + 2 * margin).astype(int).tolist()

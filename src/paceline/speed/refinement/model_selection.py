@@ -31,7 +31,8 @@ class RefinedMotion:
     ``matching_covariance`` from errors that all matches between the views share, ``model_covariance`` from the choice
     among motion models, ``systematic_covariance`` from what remains unknown of the calibration (NaN where it is exact).
 
-    ``residual_rms`` is the median RMS residual of a patch and ``contrast`` the RMS of the texture, both grey levels.
+    ``residual_rms`` is the median RMS residual of a patch and ``contrast`` the RMS of the texture, both grey levels,
+    which are light to the power 1 / ``gamma``.
     ``offsets`` (F, 2, 2) px are between each view's image and where the motion puts it; ``explained_share`` (F, 2) is
     the share of its weighted variance that the motion explains. Both are NaN where a view was not used.
     """
@@ -46,6 +47,7 @@ class RefinedMotion:
     rig_estimate: RigEstimate | None
     residual_rms: float
     contrast: float
+    gamma: float
     offsets: Array
     explained_share: Array
     motion_terms: tuple[str, ...]  # of MOTION_TERMS, chosen by their evidence
@@ -196,6 +198,7 @@ def refine(
         fit.rig_estimate(offset, reduction * given_rig),
         fit.residual_rms,
         fit.contrast,
+        fit.gamma,
         *fit.residual_offsets(),
         terms,
         fit.prior,

@@ -85,7 +85,7 @@ def second_estimate(refined: RefinedMotion, keyframes: Sequence[Keyframe]) -> Se
     """The `SecondEstimate` of a ``refined`` motion; None where too few corners are tracked to determine it."""
     trajectory = refined.trajectory
     try:
-        tracks = track_corners(keyframes, trajectory.homographies(refined.theta)[0])
+        tracks = track_corners(keyframes, trajectory.homographies(refined.theta)[0], refined.gamma)
     except np.linalg.LinAlgError:
         return None
     tracked = tracks.information > 0

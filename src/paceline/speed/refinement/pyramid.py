@@ -272,7 +272,7 @@ def build_levels(
         for v in views:
             ratio = scale[v] / resolution
             blurs = [_blur_sigma(smoothing, r) for r in ((ratio, LEVEL_RATIO * ratio) if b > 0 else (ratio,))]
-            image, ahead = (_band_pass(crops[v], blurs, gamma + step) for step in (0.0, GAMMA_STEP))
+            image, ahead = (band_pass(crops[v], blurs, gamma + step) for step in (0.0, GAMMA_STEP))
             images.append((_derivatives(image), (ahead - image) / GAMMA_STEP))
         levels.append(PyramidLevel(views, images, gamma, origins[views], size * LEVEL_RATIO**b))
     return levels
@@ -286,7 +286,7 @@ def _orthogonalised(field: Array, known: list[Array]) -> Array:
     return np.asarray(residual / np.sqrt(np.maximum((residual * residual).sum(-1, keepdims=True), 1e-12)))
 
 
-def _band_pass(image: Floats, blurs: list[float], gamma: float) -> Floats:
+def band_pass(image: Floats, blurs: list[float], gamma: float) -> Floats:
     """``image`` blurred by the first of the ``blurs`` (px), less that blurred by the second one where there is one.
 
     The blur is in linear light, grey values to the power ``gamma``.
