@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -31,6 +31,7 @@ from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals, v
 from paceline.imaging.feature_matches import NO_MATCHES, InstantFeatures, Matches, match_static, velocity_and_growth
 from paceline.imaging.moving_features import moving_features
 from paceline.imaging.outline_motion import match_template, place_between_views
+from paceline.imaging.recorded_cameras import CLOCK_RATE_STD, expected_rate
 from paceline.recordings.live_stereo import LiveStereo
 from paceline.recordings.stereo import open_recording
 from paceline.simulation.stereo.clip import render, write
@@ -167,23 +168,25 @@ def test_frames_that_show_no_rotation_do_not_hide_that_of_the_others():
 # --- epipolar residuals ---------------------------------------------------------------------------------------------
 
 
-def moving_points(rig: StereoRig, offset: float, readouts=(0.0, 0.0), count: int = 200, seed: int = 3):
-    """Matches of points that move at their own velocities, the right ones seen ``offset`` s later, and of static
-    ones."""
+def moving_points(
+    rig: StereoRig, offset: float, readouts=(0.0, 0.0), count: int = 200, seed: int = 3, rate: float = 0.0
+):
+    """Matches of points that move at their own velocities within two minutes, the right ones seen ``offset`` s later,
+    which grows by the ``rate``, and of static ones."""
     rng = np.random.default_rng(seed)
     P = rng.uniform([-4, -2, 20], [4, 2, 70], (count, 3))
     V = np.where(np.arange(count)[:, None] < count // 2, rng.uniform([-3, -1, -20], [3, 1, -8], (count, 3)), 0.0)
     below = [(p[:, 1] + 0.5) / 768 - 0.5 for p in rig.project(P)]
-    times = readouts[0] * below[0], offset + readouts[1] * below[1]
+    seen = np.random.default_rng([seed, 1]).uniform(-60.0, 60.0, count)
+    times = readouts[0] * below[0], offset + rate * seen + readouts[1] * below[1]
     left = rig.left.project(P + times[0][:, None] * V)
     right = rig.right.project(rig.to_right(P + times[1][:, None] * V))
     velocity = (rig.left.project(P + 1e-4 * V) - rig.left.project(P - 1e-4 * V)) / 2e-4
     noise = rng.normal(0, 0.05, right.shape)
-    matches = Matches(left, right + noise, velocity, -V[:, 2] / (P[:, 2] + times[0] * V[:, 2]))
+    matches = Matches(left, right + noise, velocity, -V[:, 2] / (P[:, 2] + times[0] * V[:, 2]), seen)
     is_moving = np.arange(count) < count // 2
     return tuple(
-        Matches(*(values[mask] for values in (matches.left, matches.right, matches.velocity, matches.growth)))
-        for mask in (~is_moving, is_moving)
+        Matches(*(getattr(matches, field.name)[mask] for field in fields(Matches))) for mask in (~is_moving, is_moving)
     )
 
 
@@ -207,12 +210,29 @@ def test_the_offset_is_found_within_its_uncertainty(rig, offset, readouts):
     assert fit.rig is rig  # it is exact
 
 
+@pytest.mark.parametrize("rate", [0.0, 40e-6, -100e-6])
+def test_the_rate_by_which_the_offset_grows_is_found_within_its_uncertainty(rig, rate):
+    fit = fit_epipolar_residuals(rig, *moving_points(rig, 0.004, rate=rate), UNKNOWN_OFFSET, 0.017, CLOCK_RATE_STD)
+    assert abs(fit.offset.value - 0.004) < 4 * fit.offset.std
+    assert abs(fit.rate.value - rate) < 3 * fit.rate.std and fit.rate.std < 3e-5
+    stated = fit_epipolar_residuals(rig, *moving_points(rig, 0.004), UNKNOWN_OFFSET, 0.017)
+    assert abs(stated.rate.value) < 1e-7 and stated.rate.std <= 1e-9
+
+
+def test_one_clock_is_as_likely_as_two():
+    assert expected_rate(None) == Quantity(0.0, CLOCK_RATE_STD, "assumed")
+    assert expected_rate(Quantity(9e-6, 0.9 * CLOCK_RATE_STD, "estimated")) == expected_rate(None)
+    small, large = (expected_rate(Quantity(value, 1e-6, "estimated")) for value in (1e-6, 40e-6))
+    assert small.value < 0.1e-6 and small.std > 1e-6  # by half of all cases in which it is 0
+    assert large.value == pytest.approx(40e-6) and large.std == pytest.approx(1e-6)
+
+
 def test_points_are_moved_on_by_constant_velocities_in_space(rig):
     rng, dt = np.random.default_rng(8), 0.1
     P, V = rng.uniform([-4, -2, 20], [4, 2, 70], (50, 3)), rng.uniform([-3, -1, -20], [3, 1, 20], (50, 3))
     before, left, after = (rig.left.project(P + t * V) for t in (-dt, 0.0, dt))
     motion = velocity_and_growth(left - before, after - left, dt)
-    later = Matches(left, left, *motion).later(0.04)
+    later = Matches(left, left, *motion, np.zeros(50)).later(0.04)
     np.testing.assert_allclose(later.left, rig.left.project(P + 0.04 * V), atol=1e-9)
     np.testing.assert_allclose(later.growth, -V[:, 2] / (P + 0.04 * V)[:, 2], atol=1e-9)
     velocity = (rig.left.project(P + 0.0401 * V) - rig.left.project(P + 0.0399 * V)) / 2e-4
@@ -233,7 +253,7 @@ def test_how_a_vehicle_moves_between_the_exposures_follows_from_its_left_outline
 
 def test_where_little_moves_the_offset_is_unknown(rig):
     static, moving = moving_points(rig, 0.01)
-    few = Matches(moving.left[:5], moving.right[:5], moving.velocity[:5], moving.growth[:5])
+    few = Matches(*(getattr(moving, field.name)[:5] for field in fields(Matches)))
     assert fit_epipolar_residuals(rig, static, few, UNKNOWN_OFFSET, 0.017).offset is None
     fit = fit_epipolar_residuals(rig, NO_MATCHES, NO_MATCHES, UNKNOWN_OFFSET, 0.017)
     assert fit.offset is None and fit.epipolar_px is None
@@ -249,7 +269,8 @@ def test_what_moves_along_the_epipolar_lines_leaves_the_offset_unknown(slope):
     left, right = rig.project(P)
     velocity = (rig.left.project(P + 1e-4 * V) - left) / 1e-4
     right += np.random.default_rng(7).normal(0, 0.05, right.shape)
-    fit = fit_epipolar_residuals(rig, NO_MATCHES, Matches(left, right, velocity, np.zeros(100)), UNKNOWN_OFFSET, 0.017)
+    moving = Matches(left, right, velocity, np.zeros(100), np.zeros(100))
+    fit = fit_epipolar_residuals(rig, NO_MATCHES, moving, UNKNOWN_OFFSET, 0.017)
     assert abs(fit.offset.value) < 0.01 and fit.offset.std == pytest.approx(0.1, rel=0.01)
 
 

@@ -43,6 +43,7 @@ RIG_STEP_SIGMA = 1e-2  # step of finite differences, in prior standard deviation
 RESIDUAL_FIT_STEPS = 30
 FREE_PRECISION, FREE_STEPS = 1e-2, 5  # of the prior of what explains first, and for how many steps
 MIN_STD_S = 1e-6  # of an offset or a readout that is exact
+MIN_RATE_STD = 1e-9  # of a rate that is exact, s/s
 OFFSET_STEP_S = 0.001  # between offsets that are tried before the fit
 OUTLIER_PX = 1.0  # epipolar residual of a match that is wrong
 
@@ -54,39 +55,54 @@ class EpipolarFit:
     ``rig`` is the one that they and its calibration together determine, with the uncertainty that remains.
     ``rig_shift_sigma`` is how far that is from the calibration, in prior standard deviations (the Mahalanobis
     distance), and ``epipolar_px`` the RMS residual of the static points that it explains, None where none was matched.
-    ``offset`` (s) is that of the right exposures, None where fewer than `MIN_MOVING_MATCHES` move.
+    ``offset`` (s) is that of the right exposures in the middle of the recording, and ``rate`` (s/s) that by which it
+    grows; both are None where fewer than `MIN_MOVING_MATCHES` move.
     """
 
     rig: StereoRig
     rig_shift_sigma: float
     epipolar_px: Quantity | None
     offset: Quantity | None
+    rate: Quantity | None = None
 
 
 def fit_epipolar_residuals(
-    rig: StereoRig, static: Matches, moving: Matches, expected: Quantity, readout_difference_std: float
+    rig: StereoRig,
+    static: Matches,
+    moving: Matches,
+    expected: Quantity,
+    readout_difference_std: float,
+    rate_std: float = MIN_RATE_STD,
 ) -> EpipolarFit:
-    """A robust fit (Tukey's weights) of the rig, the offset and the difference between the readouts, right minus left.
+    """A robust fit (Tukey's weights) of the rig, the offset, the rate by which it grows, and the difference between the
+    readouts, right minus left.
 
     The rig has its calibration's uncertainty as its prior, scaled as in Student's distribution where it is off by more;
     what the lenses' distortion leaves is a nuisance beside it, of the same kind. The offset's prior is that which is
-    ``expected``; the readouts' difference is 0 with the standard deviation ``readout_difference_std`` (s). What moves
-    along the epipolar lines shows neither. As motion in the picture is not uniform, the fit is made once more with the
-    left points moved on to the right exposure.
+    ``expected``; the readouts' difference is 0 with the standard deviation ``readout_difference_std`` (s), and so is
+    the rate with ``rate_std`` (s/s). What moves along the epipolar lines shows none of them. As motion in the picture
+    is not uniform, the fit is made once more with the left points moved on to the right exposure.
     """
-    fit = _fit_offset(rig, static, moving, expected, readout_difference_std)
-    if fit.offset is None:
+    fit = _fit_offset(rig, static, moving, expected, Quantity(0.0, rate_std, "assumed"), readout_difference_std)
+    if fit.offset is None or fit.rate is None:
         return fit
-    found = fit.offset.value
+    found, rate = fit.offset.value, fit.rate.value
     further = replace(expected, value=expected.value - found)
-    fit = _fit_offset(rig, static, moving.later(found), further, readout_difference_std)
-    if fit.offset is None:
+    moved = moving.later(found + rate * moving.times)
+    fit = _fit_offset(rig, static, moved, further, Quantity(-rate, rate_std, "assumed"), readout_difference_std)
+    if fit.offset is None or fit.rate is None:
         return fit
-    return replace(fit, offset=replace(fit.offset, value=found + fit.offset.value))
+    offset = replace(fit.offset, value=found + fit.offset.value)
+    return replace(fit, offset=offset, rate=replace(fit.rate, value=rate + fit.rate.value))
 
 
 def _fit_offset(
-    rig: StereoRig, static: Matches, moving: Matches, expected: Quantity, readout_difference_std: float
+    rig: StereoRig,
+    static: Matches,
+    moving: Matches,
+    expected: Quantity,
+    expected_rate: Quantity,
+    readout_difference_std: float,
 ) -> EpipolarFit:
     """As `fit_epipolar_residuals`, of points that move uniformly."""
     left, right = np.concatenate([static.left, moving.left]), np.concatenate([static.right, moving.right])
@@ -97,15 +113,18 @@ def _fit_offset(
         for change in root
     ]
     across = velocity_across(rig, left, right, np.concatenate([static.velocity, moving.velocity]))
-    residual = residual - expected.value * across  # what remains is by a difference from it
+    times = np.concatenate([static.times, moving.times])
+    residual = residual - (expected.value + expected_rate.value * times) * across  # what remains is by a difference
     offset_std = max(expected.std, MIN_STD_S)
     rows = (right[:, 1] + 0.5) / rig.right.image_size[1] - 0.5
     Q, is_moving = len(root), len(moving.left) >= MIN_MOVING_MATCHES
     by_distortion = DISTORTION_RESIDUAL_PX * _cubic_terms(left, rig.left.image_size) if Q else np.zeros((len(left), 0))
     smooth = Q + by_distortion.shape[1]  # what static points and moving ones have in common
-    X = np.column_stack([*by_rig, by_distortion, is_moving * across, is_moving * across * rows])
-    prior = np.diag([*np.ones(smooth), offset_std**-2.0, readout_difference_std**-2.0])
-    start = np.zeros(smooth + 2)
+    across_moving = is_moving * across
+    X = np.column_stack([*by_rig, by_distortion, across_moving, across_moving * rows, across_moving * times])
+    rate_std = max(expected_rate.std, MIN_RATE_STD)
+    prior = np.diag([*np.ones(smooth), offset_std**-2.0, readout_difference_std**-2.0, rate_std**-2.0])
+    start = np.zeros(smooth + 3)
     if is_moving:
         of_static = float(np.median(residual[: len(static.left)])) if len(static.left) else 0.0
         start[smooth] = _likely_offset(residual[len(static.left) :] - of_static, across[len(static.left) :], offset_std)
@@ -126,9 +145,16 @@ def _fit_offset(
     if used.sum() < MIN_MOVING_MATCHES:
         return EpipolarFit(corrected, shift, epipolar_px, None)
     speed = float(np.sqrt((across[len(static.left) :][used] ** 2).mean()))
-    std = float(np.hypot(np.sqrt(covariance[smooth, smooth]), COMMON_MOVING_RESIDUAL_PX / max(speed, 1e-9)))
+    common = COMMON_MOVING_RESIDUAL_PX / max(speed, 1e-9)  # s
+    std = float(np.hypot(np.sqrt(covariance[smooth, smooth]), common))
+    common_rate = common / max(float(moving.times[used].std()), common / rate_std)
+    std_of_rate = float(np.hypot(np.sqrt(covariance[-1, -1]), common_rate))
     return EpipolarFit(
-        corrected, shift, epipolar_px, Quantity(expected.value + float(x[smooth]), min(std, offset_std), "estimated")
+        corrected,
+        shift,
+        epipolar_px,
+        Quantity(expected.value + float(x[smooth]), min(std, offset_std), "estimated"),
+        Quantity(expected_rate.value + float(x[-1]), min(std_of_rate, rate_std), "estimated"),
     )
 
 

@@ -35,22 +35,25 @@ MIN_DISPLACEMENT_PX = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Points ``left`` and ``right`` (N, 2) px that match, the left ones' ``velocity`` (N, 2) px/s, and the ``growth``
-    (N,) 1/s of their pictures as they come nearer: their speed over their depth."""
+    """Points ``left`` and ``right`` (N, 2) px that match, the left ones' ``velocity`` (N, 2) px/s, the ``growth``
+    (N,) 1/s of their pictures as they come nearer: their speed over their depth, and the ``times`` (N,) of their frames
+    in seconds since the middle of the recording."""
 
     left: Array
     right: Array
     velocity: Array
     growth: Array
+    times: Array
 
-    def later(self, dt: float) -> Matches:
-        """The same with the left points as they are ``dt`` s later, by constant velocities in space."""
+    def later(self, dt: float | Array) -> Matches:
+        """The same with the left points as they are ``dt`` s later, or each by its own (N,), by constant velocities in
+        space."""
         nearer = 1.0 / (1.0 - dt * self.growth)
-        left = self.left + dt * nearer[:, None] * self.velocity
-        return Matches(left, self.right, nearer[:, None] ** 2 * self.velocity, nearer * self.growth)
+        left = self.left + (dt * nearer)[:, None] * self.velocity
+        return Matches(left, self.right, nearer[:, None] ** 2 * self.velocity, nearer * self.growth, self.times)
 
 
-NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
 class InstantFeatures:
@@ -79,10 +82,11 @@ class InstantFeatures:
             frames = self._recording.frames(0, max(self._needed, default=-1) + 2)
             for _ in self.passing(moving_features(self._recording.rig, frames, self._needed)):
                 pass
-        found: list[Matches] = [NO_MATCHES]
+        found, middle = [NO_MATCHES], middle_of(self._recording.times)
         for triple in self._instants.tolist():
             if all(number in self._features for number in triple):
-                found.append(_matches_in_motion(*(self._features[number] for number in triple)))
+                before, f, after = (self._features[number] for number in triple)
+                found.append(_matches_in_motion(before, f, after, middle))
         return Matches(*(np.concatenate([getattr(m, f.name) for m in found]) for f in fields(Matches)))
 
 
@@ -100,14 +104,22 @@ def match_static(recording: StereoRecording) -> Matches:
         moving = motion_mask(image, before[side]) | motion_mask(image, after[side])
         found.append(reduced_features(feature_detector(), image, (with_margin(moving) == 0).astype(np.uint8)))
     matched, right = match_pair(recording.rig, frames[1], found[0], found[1])
-    return Matches(found[0][0][matched], right, np.zeros_like(right), np.zeros(len(right)))
+    still = np.zeros(len(right))
+    times = np.full(len(right), frames[1].time - middle_of(recording.times))
+    return Matches(found[0][0][matched], right, np.zeros_like(right), still, times)
 
 
-def _matches_in_motion(before: MovingFeatures, f: MovingFeatures, after: MovingFeatures) -> Matches:
-    """The matches of ``f`` that are found ``before`` and ``after``."""
+def middle_of(times: Array) -> float:
+    """The middle (s) of a recording with frames at ``times`` (N,)."""
+    return float(times.min() + times.max()) / 2
+
+
+def _matches_in_motion(before: MovingFeatures, f: MovingFeatures, after: MovingFeatures, middle: float) -> Matches:
+    """The matches of ``f`` that are found ``before`` and ``after``; ``middle`` (s) is that of the recording."""
     rows, velocity, growth = left_motion(before, f, after)
     _, i, j = np.intersect1d(rows, f.matched, return_indices=True)
-    return Matches(f.left[0][rows[i]], f.places[j], velocity[i], growth[i]).later(f.skew)
+    times = np.full(len(i), f.time - middle)
+    return Matches(f.left[0][rows[i]], f.places[j], velocity[i], growth[i], times).later(f.skew)
 
 
 def left_motion(before: MovingFeatures, f: MovingFeatures, after: MovingFeatures) -> tuple[Indices, Array, Array]:
@@ -139,15 +151,15 @@ def velocity_step(recording: StereoRecording) -> int:
 
 
 def frames_looked_at(recording: StereoRecording) -> int:
-    """How many frames of the beginning of ``recording`` are looked at."""
+    """How many frames of the beginning of ``recording`` are looked at for a lag."""
     return min(len(recording), int(MAX_SECONDS / recording.pairing.interval))
 
 
 def instants(recording: StereoRecording) -> Indices:
-    """The frames of up to about `MAX_INSTANTS` instants (n, 3), evenly spread over the beginning of ``recording``: each
-    between those from which its velocities are taken."""
+    """The frames of up to about `MAX_INSTANTS` instants (n, 3), evenly spread over the ``recording``: each between
+    those from which its velocities are taken."""
     step = velocity_step(recording)
-    count = frames_looked_at(recording) - 2 * step
+    count = len(recording) - 2 * step
     first = np.arange(0, count, max(1, count // MAX_INSTANTS))
     return np.asarray(recording.indices[first[:, None] + step * np.arange(3)])
 

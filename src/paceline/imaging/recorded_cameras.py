@@ -19,8 +19,8 @@ from paceline.cameras import VIEW_NAMES, Quantity, StereoRig
 from paceline.documents.loading import Clip, VehicleDocument, require_same_part
 from paceline.errors import UnusableInput
 from paceline.imaging.camera_rotation import MIN_KNOWN_SHARE, CameraRotations, estimate_rotations, expected_rotations
-from paceline.imaging.epipolar_fit import EpipolarFit, fit_epipolar_residuals
-from paceline.imaging.feature_matches import InstantFeatures, match_static, velocity_step
+from paceline.imaging.epipolar_fit import MIN_RATE_STD, EpipolarFit, fit_epipolar_residuals
+from paceline.imaging.feature_matches import InstantFeatures, match_static, middle_of, velocity_step
 from paceline.imaging.frame_lag import estimate_lag
 from paceline.imaging.frame_times import FrameTimes, estimate_frame_times
 from paceline.imaging.lasting_turns import LastingTurn, lasting_turn
@@ -34,6 +34,8 @@ from paceline.verdicts import Message, message
 
 # Readout of a camera whose shutter nothing is said of: of ordinary rolling shutters it is 8 to 30 ms, of global ones 0
 READOUT_STD_S = 0.012
+# By which one camera's clock gains on the other's: quartz oscillators are within 20 to 50 ppm of their frequency
+CLOCK_RATE_STD = 5e-5
 MIN_OFFSET_SIGMA = 3.0  # standard deviations at which an offset between the views is reported
 MAX_RIG_SHIFT_SIGMA = 4.0  # prior standard deviations (Mahalanobis distance) at which a calibration is called stale
 
@@ -44,7 +46,8 @@ class RecordedCameras:
 
     ``rotations`` are those of the cameras as they recorded, and ``fit`` is what matches between the views tell of the
     rig and of the time between their exposures. ``lag`` (s) is that by which two videos were paired anew, 0 where they
-    were not. ``frame_times`` say when the frames of both views were taken, where that is not as stated.
+    were not. ``rate`` (s/s) is that by which the offset grows, None where it is stated. ``frame_times`` say when the
+    frames of both views were taken, where that is not as stated.
     """
 
     clip: Clip
@@ -52,6 +55,7 @@ class RecordedCameras:
     rotations: CameraRotations
     fit: EpipolarFit
     lag: float = 0.0
+    rate: Quantity | None = None
     frame_times: FrameTimes | None = None
 
     def as_recorded(self, frame: Indices, pixels: Array, side: int) -> Array:
@@ -199,11 +203,18 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     else:
         expected = clip.offset or Quantity(0.0, interval / 2, "assumed")
         static, moving = match_static(steady), of_instants.matches()
-        fit = fit_epipolar_residuals(rig, static, moving, expected, readout_difference_std(rig))
+        rate_std = CLOCK_RATE_STD if clip.offset is None else MIN_RATE_STD
+        fit = fit_epipolar_residuals(rig, static, moving, expected, readout_difference_std(rig), rate_std)
     offset = clip.offset or (fit.offset if lag and fit.offset else expected_offset(fit.offset, interval))
-    steady = steady.corrected(offset.value, steady.rotations)
+    late, rate = np.full(len(steady), offset.value), None
+    if clip.offset is None:
+        rate, since_middle = expected_rate(fit.rate), steady.times - middle_of(steady.times)
+        late += rate.value * since_middle
+        offset = replace(offset, std=float(np.hypot(offset.std, rate.std * np.sqrt((since_middle**2).mean()))))
+    steady = steady.corrected(late, steady.rotations)
     offset = replace(offset, value=lag + offset.value)
-    cameras = RecordedCameras(replace(clip, rig=fit.rig, offset=offset), steady, rotations, fit, lag, frame_times)
+    clip = replace(clip, rig=fit.rig, offset=offset)
+    cameras = RecordedCameras(clip, steady, rotations, fit, lag, rate, frame_times)
     cameras = cameras.with_vehicles(with_steady_outlines(cameras))
     for i, vehicle in enumerate(cameras.clip.vehicles):
         require_same_part(clip.path, fit.rig, i, vehicle)
@@ -238,6 +249,21 @@ def expected_offset(estimate: Quantity | None, interval: float) -> Quantity:
         return Quantity(0.0, interval / 2, "assumed")
     density = float(norm.pdf(estimate.value, scale=estimate.std))
     value = estimate.value / (1.0 + interval * density)
+    return Quantity(value, float(np.hypot(estimate.std, estimate.value - value)), "estimated")
+
+
+def expected_rate(estimate: Quantity | None) -> Quantity:
+    """The rate (s/s) by which the offset grows, of cameras of which half run by one clock and half by two.
+
+    ``estimate`` is what moving points tell, None where they do not; where that is little, as in a short recording, it
+    is left alone.
+    """
+    if estimate is None or estimate.std > 0.5 * CLOCK_RATE_STD:
+        return Quantity(0.0, CLOCK_RATE_STD, "assumed")
+    of_one, of_two = (
+        norm.pdf(estimate.value, scale=std) for std in (estimate.std, np.hypot(estimate.std, CLOCK_RATE_STD))
+    )
+    value = float(estimate.value * of_two / (of_one + of_two))
     return Quantity(value, float(np.hypot(estimate.std, estimate.value - value)), "estimated")
 
 

@@ -133,8 +133,9 @@ class StereoRecording:
     def __iter__(self) -> Iterator[StereoFrame]:
         return self.frames()
 
-    def corrected(self, offset: float, rotations: Array | None) -> StereoRecording:
-        """The same with the right exposures ``offset`` s later, and freed from ``rotations`` (N, 2, 3)."""
+    def corrected(self, offset: float | Array, rotations: Array | None) -> StereoRecording:
+        """The same with the right exposures ``offset`` s later, or each by its own (N,), and freed from ``rotations``
+        (N, 2, 3)."""
         times, skews = self.pairing.times + offset / 2, self.pairing.skews + offset
         pairing = replace(self.pairing, times=times, skews=skews)
         return StereoRecording(self.rig, *self._sources, pairing, rotations)

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 import numpy as np
 
 from paceline.cameras import VIEW_NAMES, Quantity
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
+from paceline.imaging.feature_matches import middle_of
 from paceline.imaging.frame_times import FrameTimes
 from paceline.imaging.recorded_cameras import RecordedCameras, estimate_cameras
 from paceline.progress import Progress, Stage, frame_stage, no_stage
@@ -161,7 +163,7 @@ def camera_summary(cameras: RecordedCameras, exposures: Mapping[str, ExposureEst
     clip = cameras.clip
     summary = cameras.summary()
 
-    def entry(name: str, quantity: Quantity | None) -> dict[str, object] | None:
+    def entry(name: str, quantity: Quantity | None) -> dict[str, Any] | None:
         if quantity is None:
             return None
         if name not in exposures:
@@ -179,7 +181,20 @@ def camera_summary(cameras: RecordedCameras, exposures: Mapping[str, ExposureEst
         name: {"readout_s": entry(f"{name} readout", camera.readout), **summary[name]}
         for name, camera in zip(VIEW_NAMES, clip.rig.cameras, strict=True)
     }
-    return {"offset_s": entry("offset", clip.offset), **summary, **views}
+    offset = entry("offset", clip.offset)
+    return {"offset_s": offset, "rate_difference_ppm": _rate_entry(cameras, offset), **summary, **views}
+
+
+def _rate_entry(cameras: RecordedCameras, offset: Mapping[str, Any] | None) -> dict[str, object] | None:
+    """The entry for the rate by which the ``offset`` between the views, an entry itself, grows: its effect on a speed
+    is that of the offset which it amounts to over the recording, RMS. None where the offset is stated as constant."""
+    if cameras.rate is None or offset is None:
+        return None
+    times = cameras.recording.times
+    grown = cameras.rate.std * float(np.sqrt(((times - middle_of(times)) ** 2).mean()))
+    effect = offset["speed_effect"] * grown / offset["std"]
+    rate = cameras.rate
+    return {"value": 1e6 * rate.value, "std": 1e6 * rate.std, "source": rate.source, "speed_effect": effect}
 
 
 def named(method: str) -> dict[str, object]:

@@ -16,6 +16,8 @@ def camera_rows(cameras: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     rows = []
     if offset := cameras.get("offset_s"):
         rows.append(_row("the right camera exposes later by", offset, 1e3, "ms"))
+    if (rate := cameras.get("rate_difference_ppm")) and rate["source"] == "estimated":
+        rows.append(_row("which grows by", rate, 1.0, "ppm"))
     for view in VIEW_NAMES:
         of_view = cameras.get(view) or {}
         if readout := of_view.get("readout_s"):
