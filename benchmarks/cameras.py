@@ -69,6 +69,8 @@ IMPERFECTIONS = {
     **{f"zoom {p:g} %": _right(zoom=p / 100) for p in (0.2, 0.5, 1.0)},
     "zoom 1 %, both": _both(zoom=0.01),
     "dirt on 5 %": _right(dirt=0.05),
+    "rain on 5 %": _right(rain=0.05),
+    "exposure +30 %": _right(exposure_step=0.3),
     "mild together": _together(0.010, 0.002, offset=0.002, sway=1e-4, crf=18),
     "rough together": _together(0.025, 0.002, offset=0.008, sway=4e-4, crf=26),
 }
@@ -113,7 +115,7 @@ def errors_of(case: Case, frames: int) -> StereoErrors:
     if case.imperfection == RANDOM_ERRORS:
         return random_errors(case.seed, case.rate)
     errors = IMPERFECTIONS[case.imperfection]
-    return replace(errors, right=replace(errors.right, knock_frame=frames // 2)) if any(errors.right.knock) else errors
+    return replace(errors, right=replace(errors.right, knock_frame=frames // 2, exposure_frame=frames // 2))
 
 
 def drawn_scene(case: Case) -> Scene:

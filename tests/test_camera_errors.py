@@ -17,8 +17,8 @@ from paceline.simulation.camera_errors import (
     MAX_MOTION_IN_BAND_PX,
     CameraErrors,
     MovingViews,
+    RecordedLight,
     StereoErrors,
-    dirt_transmission,
     row_bands,
     row_delay,
 )
@@ -41,7 +41,7 @@ CROSSING = replace(
     noise_sigma=0.0,
 )
 ALL = StereoErrors(
-    CameraErrors(0.02, 0.001, (1e-4, 2e-4, 3e-4), (0.1, -0.2), (1.0, 2.0), 1, 0.05),
+    CameraErrors(0.02, 0.001, (1e-4, 2e-4, 3e-4), (0.1, -0.2), (1.0, 2.0), 1, 0.05, 0.03, 0.2, 1),
     CameraErrors(-0.01, -0.002, (4e-4, 0.0, 0.0), (0.0, 0.3)),
     0.008,
     100.0,
@@ -63,7 +63,8 @@ def test_without_errors_nothing_changes() -> None:
         assert views.view(i, 0.7) is view
         assert [rows for rows, _, _ in views.static_bands(i, 0.7)] == [slice(0, 240)]
         np.testing.assert_array_equal(views.project(i, 0.7, lambda _: points), view.project(points))
-    assert dirt_transmission(CameraErrors(), (320, 240), 4, 0) is None
+    light = np.ones((240, 320), np.float32)
+    assert RecordedLight(CameraErrors(), (320, 240), 4, 0)(light, 3) is light
 
 
 def test_a_rotating_view_moves_what_stands_still_by_its_homography() -> None:
@@ -181,9 +182,28 @@ def test_what_is_drawn_is_where_the_pictures_show_it() -> None:
 
 
 def test_dirt_hides_its_share() -> None:
-    passed = dirt_transmission(CameraErrors(dirt=0.1), (320, 240), 4, 0)
-    assert passed is not None and passed.shape == (240, 320)
+    light = np.ones((240, 320, 3), np.float32)
+    passed = RecordedLight(CameraErrors(dirt=0.1), (320, 240), 4, 0)(light, 0)
     assert 0.1 <= (passed < 1).mean() < 0.2 and 0.0 < passed.min() < 0.9
+
+
+def test_drops_blur_what_is_behind_them() -> None:
+    edge = np.repeat(np.float32([0.0, 1.0]), 160)[None].repeat(240, axis=0)
+    seen = RecordedLight(CameraErrors(rain=0.3), (320, 240), 4, 1)(edge, 0)
+    assert (np.abs(seen - edge) > 0.05).mean() < 0.2 and (seen[:, 157] > 0.05).any() and (seen[:, 162] < 0.95).any()
+    assert (seen[:, :80] == 0.0).all() and seen.mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_an_automatic_exposure_changes_within_a_few_frames() -> None:
+    recorded = RecordedLight(CameraErrors(exposure_step=0.4, exposure_frame=3), (32, 24), 4, 0)
+    exposures = [recorded.exposure(frame) for frame in range(12)]
+    assert (
+        exposures[:3] == [1.0] * 3
+        and np.all(np.diff(exposures[2:]) > 0)
+        and exposures[-1] == pytest.approx(1.4, abs=0.01)
+    )
+    light = np.full((24, 32), 0.5, np.float32)
+    np.testing.assert_allclose(recorded(light, 11), 0.5 * exposures[11], rtol=1e-6)
 
 
 def test_ray_traced_scenes_hold_the_same_errors() -> None:

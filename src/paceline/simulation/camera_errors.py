@@ -20,6 +20,9 @@ MAX_MOTION_IN_BAND_PX = 0.1  # while rows are read that are drawn as if at one t
 ROW_TIME_ITERATIONS = 8  # each leaves the share of a picture that a point moves by while it is read
 DIRT_RADII_PX = 8.0, 40.0  # of specks on a lens, far out of focus
 DIRT_OPACITIES = 0.15, 0.5  # the light that they take in their middle
+DROP_RADII_PX = 10.0, 50.0  # of drops of rain on a lens
+DROP_BLUR_PX = 12.0  # standard deviation of the blur of what is seen through one
+EXPOSURE_ADAPTATION_FRAMES = 1.5  # time constant of an automatic exposure
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,8 @@ class CameraErrors:
     its middle row's. ``zoom``: relative error of the focal length in rig.yaml, true = stated × (1 + zoom). ``turn``:
     about the camera's x, y, z since its calibration, rad. ``drift`` (px per frame) and ``knock`` (px, from the frame
     ``knock_frame`` on): how far the picture moves to the right and down, in its middle, because the camera turns.
-    ``dirt``: share of the picture that lies behind specks on the lens.
+    ``dirt`` and ``rain``: shares of the picture that lie behind specks and behind drops on the lens. ``exposure_step``:
+    relative change of the exposure, made automatically from the frame ``exposure_frame`` on.
     """
 
     readout: float = 0.0
@@ -40,6 +44,9 @@ class CameraErrors:
     knock: tuple[float, float] = (0.0, 0.0)
     knock_frame: int = 0
     dirt: float = 0.0
+    rain: float = 0.0
+    exposure_step: float = 0.0
+    exposure_frame: int = 0
 
 
 @dataclass(frozen=True)
@@ -167,18 +174,47 @@ def row_bands(top: int, bottom: int, motion: float, readout: float, height: int)
     return [(slice(a, b), delay) for a, b, delay in zip(edges[:-1], edges[1:], delays, strict=True)]
 
 
-def dirt_transmission(errors: CameraErrors, size: tuple[int, int], seed: int, i: int) -> Image | None:
-    """The share of light (H, W) that passes specks on the lens of view ``i``; None where it is clean."""
-    if not errors.dirt:
-        return None
-    rng, (width, height) = np.random.default_rng([seed, 31, i]), size
+class RecordedLight:
+    """What is left of the light (H, W) or (H, W, C) that falls on the lens of view ``i``, of a ``size`` (width, height)
+    px, as it is recorded: behind specks and drops, with the exposure of its frame."""
+
+    def __init__(self, errors: CameraErrors, size: tuple[int, int], seed: int, i: int) -> None:
+        self.errors = errors
+        self.passed = 1 - _specks(errors.dirt, DIRT_RADII_PX, DIRT_OPACITIES, size, [seed, 31, i])
+        self.behind_drops = _specks(errors.rain, DROP_RADII_PX, (1.0, 1.0), size, [seed, 37, i])
+
+    def exposure(self, frame: int) -> float:
+        """The exposure of a ``frame`` over that of the first one."""
+        since = max(frame - self.errors.exposure_frame + 1, 0)
+        return 1.0 + self.errors.exposure_step * (1.0 - float(np.exp(-since / EXPOSURE_ADAPTATION_FRAMES)))
+
+    def __call__(self, light: Image, frame: int) -> Image:
+        """The ``light`` of a ``frame`` as it is recorded."""
+        if self.errors.rain:
+            blurred = cv2.GaussianBlur(light, (0, 0), DROP_BLUR_PX)
+            light = light + self._shaped(self.behind_drops, light) * (blurred - light)
+        if self.errors.dirt:
+            light = light * self._shaped(self.passed, light)
+        return np.asarray(light * np.float32(self.exposure(frame)), np.float32) if self.errors.exposure_step else light
+
+    @staticmethod
+    def _shaped(mask: Image, light: Image) -> Image:
+        return mask.reshape(*mask.shape, *(1,) * (light.ndim - 2))
+
+
+def _specks(
+    share: float, radii: tuple[float, float], opacities: tuple[float, float], size: tuple[int, int], seed: list[int]
+) -> Image:
+    """The opacity (H, W) of specks that cover a ``share`` of a picture, with ``radii`` (px) and ``opacities`` between
+    these."""
+    rng, (width, height) = np.random.default_rng(seed), size
     passed = np.ones((height, width), np.float32)
     v, u = np.mgrid[:height, :width].astype(np.float32)
-    while (passed < 1).mean() < errors.dirt:
-        x, y, radius = rng.uniform(0, width), rng.uniform(0, height), rng.uniform(*DIRT_RADII_PX)
+    while (passed < 1).mean() < share:
+        x, y, radius = rng.uniform(0, width), rng.uniform(0, height), rng.uniform(*radii)
         depth = np.clip(1 - ((u - x) ** 2 + (v - y) ** 2) / radius**2, 0, 1)
-        passed *= 1 - np.float32(rng.uniform(*DIRT_OPACITIES)) * depth
-    return passed
+        passed *= 1 - np.float32(rng.uniform(*opacities)) * depth
+    return 1 - passed
 
 
 def _zoomed(camera: Camera, zoom: float) -> Camera:

@@ -151,6 +151,9 @@ class CameraErrorsModel(Document):
     knock: Annotated[list[Pixels], Field(min_length=2, max_length=2)] = [0.0, 0.0]
     knock_frame: Annotated[int, Field(ge=0)] = 0
     dirt: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    rain: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    exposure_step: Annotated[float, Field(gt=-1, le=4)] = 0.0
+    exposure_frame: Annotated[int, Field(ge=0)] = 0
 
     def errors(self, readout: float) -> CameraErrors:
         """As a dataclass, with the sensor's ``readout`` where there is none."""

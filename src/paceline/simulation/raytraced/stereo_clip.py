@@ -20,7 +20,7 @@ from paceline.cameras import PosedCamera, StereoRig
 from paceline.documents.assumed_calibration import without_statements
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.progress import Progress
-from paceline.simulation.camera_errors import MAX_MOTION_IN_BAND_PX, dirt_transmission
+from paceline.simulation.camera_errors import MAX_MOTION_IN_BAND_PX, RecordedLight
 from paceline.simulation.operator import clip_document
 from paceline.simulation.raytraced import clip_folder
 from paceline.simulation.raytraced.light import Light
@@ -120,7 +120,7 @@ class _CameraRenderer:
         self.placed, self.renderer, self.i, self.cache = placed, renderer, i, cache
         self.lens, self.shutter = Lens.of(placed.views[i].camera), placed.shutters[i]
         size, errors = placed.rig.cameras[i].image_size, placed.errors.cameras[i]
-        self.transmission = dirt_transmission(errors, size, placed.scene.seed, i)
+        self.recorded = RecordedLight(errors, size, placed.scene.seed, i)
         self._still: Radiance | None = None
 
     def view(self, t: float) -> PosedCamera:
@@ -153,10 +153,7 @@ class _CameraRenderer:
                 )
         white = self.placed.light.level_irradiance / np.pi
         noise = np.random.default_rng([scene.seed, 19, self.i, k])
-        recorded = self.lens.distort(light)
-        if self.transmission is not None:
-            recorded = recorded * self.transmission[..., None]
-        return expose(recorded, white, make_sensor(scene), noise)
+        return expose(self.recorded(self.lens.distort(light), k), white, make_sensor(scene), noise)
 
     def static_meshes(self) -> Radiance:
         """The light (H, W, 3) without any vehicle, kept in a file in case of an interruption."""

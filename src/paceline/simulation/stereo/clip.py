@@ -25,7 +25,7 @@ from paceline.cameras import PosedCamera, StereoRig
 from paceline.documents.assumed_calibration import without_statements
 from paceline.documents.rig_yaml import rig_yaml
 from paceline.simulation import textures
-from paceline.simulation.camera_errors import MovingViews, StereoErrors, dirt_transmission, row_bands
+from paceline.simulation.camera_errors import MovingViews, RecordedLight, StereoErrors, row_bands
 from paceline.simulation.operator import add_drawing_noise, draw_line, is_inside_image
 from paceline.simulation.stereo.scene import (
     PLANE_CLEARANCE_M,
@@ -210,7 +210,7 @@ class _Renderer:
     def _render_view(self, i: int) -> list[NDArray[np.uint8]]:
         scene, moving, poses = self.scene, self.world.moving, self.world.poses[i]
         static = self._static(i, 0.0)
-        transmission = dirt_transmission(scene.errors.cameras[i], scene.image_size, scene.seed, i)
+        recorded = RecordedLight(scene.errors.cameras[i], scene.image_size, scene.seed, i)
         sensor = np.random.default_rng([scene.seed, 19, i])
         images = []
         for k, t in enumerate(self.world.times[i].tolist()):
@@ -225,9 +225,8 @@ class _Renderer:
                     composite(image, draw_planes([self.pole], view, scene.blur_sigma, SCENE_SUBPIXELS_PER_SIDE, within))
             sun = np.sin(1.3 * t + self.phases[0]) + 0.3 * np.sin(2.9 * t + self.phases[1] + i)
             light = image * np.float32(1 + scene.gain_drift * sun)
-            if transmission is not None:
-                light = light * transmission
-            images.append(_add_sensor_noise(textures.light_to_grey(light, scene.gamma), scene, sensor))
+            grey = textures.light_to_grey(recorded(light, k), scene.gamma)
+            images.append(_add_sensor_noise(grey, scene, sensor))
         return images
 
     def _static(self, i: int, t: float) -> Image:
