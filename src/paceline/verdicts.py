@@ -147,7 +147,7 @@ _REJECTION_ROWS = {
     ),
     "methods_disagree": (
         "estimates disagree: tracked corners move with {corners_mps:.2f} m/s and the grey values of the whole outline "
-        "with {grey_values_mps:.2f}, {difference_mps:.2f} m/s apart (limit {max_difference_mps:.2f})",
+        "with {grey_values_mps:.2f}, {difference_mps:.3g} m/s apart (limit {max_difference_mps:.3g})",
         "Look in the overlay whether the outline holds one vehicle and nothing else, and for reflections that move "
         "over it; outline another part of it.",
     ),
