@@ -54,6 +54,7 @@ MAY_IMPORT = {
     "simulation.closed_loop": READ | {"follow", "targets"},
     "simulation.boards": READ | {"calibration"},
     "survey": SEEN | {"detection", "lanes", "speed"},
+    "survey.statistics": GROUND,
     "reports": SEEN | MADE,
     "console": READ
     | {"reports", "targets", "speed.geometry", "speed.configuration", "speed.choices", "speed.settings_table"},
@@ -76,6 +77,7 @@ NEVER = {
     "simulation.chase": SIMULATORS | {"simulation.random_scenes"},
     "simulation.raytraced": SIMULATORS - {"simulation.chase"},
     "simulation.closed_loop": SIMULATORS - {"simulation.chase"},
+    "survey.statistics": {"survey"},
     "reports.common": {f"reports.{product}" for product in ("speed", "live", "follow", "closed_loop")},
 }
 
@@ -150,6 +152,14 @@ def test_a_room_imports_only_what_it_may(name: str) -> None:
         for own, others in NEVER.items():
             if is_in(name, own) and not is_in(other, own):
                 assert not any(is_in(other, forbidden) for forbidden in others), f"{name} imports {other}"
+
+
+def test_statistics_of_surveys_need_numpy_and_scipy_alone() -> None:
+    nodes = [node for name, tree in MODULES.items() if is_in(name, "survey.statistics") for node in ast.walk(tree)]
+    names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
+    packages = {name.split(".")[0] for name in names}
+    assert packages - sys.stdlib_module_names == {"numpy", "scipy", "paceline"}
 
 
 @pytest.mark.parametrize("folder", ["files", *sorted(FOLDERS)])
