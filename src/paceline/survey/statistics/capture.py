@@ -30,10 +30,10 @@ def capture_weights(rough: Array, measured: Mask, stratum: Indices, least: int =
     bins = np.zeros(len(rough), np.int64)
     count = 0
     for members in _joined_strata(rough, measured, stratum, least):
-        inside = rough[members]
-        known = ~np.isnan(inside)
-        inside = np.where(known, inside, np.median(inside[known]) if known.any() else 0.0)
-        found = _equal_bins(inside, measured[members], least)
+        speeds = rough[members]
+        has_speed = ~np.isnan(speeds)
+        speeds = np.where(has_speed, speeds, np.median(speeds[has_speed]) if has_speed.any() else 0.0)
+        found = _equal_bins(speeds, measured[members], least)
         bins[members] = count + found
         count += int(found.max()) + 1
     passages, captured = np.bincount(bins), np.bincount(bins, measured)
@@ -45,19 +45,19 @@ def _joined_strata(rough: Array, measured: Mask, stratum: Indices, least: int) -
     """The passages of each stratum, of those with too few joined."""
     _, key = np.unique(2 * stratum + np.isnan(rough), return_inverse=True)
     groups: list[Indices] = []
-    pending: list[Indices] = []
+    rest = np.zeros(0, np.int64)
     for k in range(int(key.max(initial=-1)) + 1):
-        pending.append(np.flatnonzero(key == k))
-        if _suffices(np.concatenate(pending), measured, least):
-            groups.append(np.concatenate(pending))
-            pending = []
-    if pending:
-        groups[-1:] = [np.concatenate([*groups[-1:], *pending])]
+        rest = np.concatenate([rest, np.flatnonzero(key == k)])
+        if _suffices(len(rest), int(measured[rest].sum()), least):
+            groups.append(rest)
+            rest = np.zeros(0, np.int64)
+    if len(rest):
+        groups[-1:] = [np.concatenate([*groups[-1:], rest])]
     return groups
 
 
-def _suffices(members: Indices, measured: Mask, least: int) -> bool:
-    return len(members) >= least and int(measured[members].sum()) >= MIN_BIN_MEASURED
+def _suffices(passages: int, captured: int, least: int) -> bool:
+    return passages >= least and captured >= MIN_BIN_MEASURED
 
 
 def _equal_bins(rough: Array, measured: Mask, least: int) -> Indices:
@@ -66,18 +66,17 @@ def _equal_bins(rough: Array, measured: Mask, least: int) -> Indices:
     ranks = np.arange(1, count) * len(rough) // count
     edges = np.unique(np.partition(rough, ranks)[ranks]) if count > 1 else np.zeros(0)
     bins = np.searchsorted(edges, rough, side="right")
-    passages = np.bincount(bins, minlength=len(edges) + 1)
-    captured = np.bincount(bins[measured], minlength=len(edges) + 1)
-    merged = np.zeros(len(passages), np.int64)
-    current = sums = captured_sum = 0
-    for k, (n, m) in enumerate(zip(passages.tolist(), captured.tolist(), strict=True)):
-        if sums >= least and captured_sum >= MIN_BIN_MEASURED:
-            current, sums, captured_sum = current + 1, 0, 0
-        merged[k] = current
-        sums, captured_sum = sums + n, captured_sum + m
-    if sums < least or captured_sum < MIN_BIN_MEASURED:
-        merged[merged == current] = max(current - 1, 0)
-    return np.asarray(merged[bins])
+    passages = np.bincount(bins, minlength=len(edges) + 1).tolist()
+    captured = np.bincount(bins[measured], minlength=len(edges) + 1).tolist()
+    numbers = np.zeros(len(passages), np.int64)
+    number = first = 0  # of the bin that is being filled, and the first of those that are merged into it
+    for k in range(len(passages)):
+        if _suffices(sum(passages[first:k]), sum(captured[first:k]), least):
+            number, first = number + 1, k
+        numbers[k] = number
+    if not _suffices(sum(passages[first:]), sum(captured[first:]), least):
+        numbers[first:] = max(number - 1, 0)
+    return np.asarray(numbers[bins])
 
 
 def influence(
