@@ -148,6 +148,11 @@ def test_a_percentile_of_all_or_none_is_refused() -> None:
             measurement_shift(np.ones(5), np.ones(5), np.ones(5), p)
 
 
+def test_arrays_of_other_lengths_are_refused() -> None:
+    with pytest.raises(ValueError, match="clusters: expected 2000 values, found 1999"):
+        replace(survey(), clusters=np.arange(1999))
+
+
 # --- measurement errors --------------------------------------------------------------------------------------------
 
 

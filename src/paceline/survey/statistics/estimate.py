@@ -42,7 +42,7 @@ class Passages:
 
     ``v`` and ``random_std`` m/s, used where ``measured``; ``capture_weight`` and ``bins`` as `capture.capture_weights`
     gives them; ``clusters`` and ``lag`` as `clusters.clusters` does; ``flow``, of mean 1, weights of another mixture
-    (`comparison.matching_weights`). Intervals need ``least`` measured vehicles.
+    (`comparison.matching_weights`). Intervals need ``least`` measured vehicles. Raises ValueError where lengths differ.
     """
 
     v: Array
@@ -54,6 +54,11 @@ class Passages:
     lag: int
     flow: Array
     least: int = 100
+
+    def __post_init__(self) -> None:
+        for name in ("random_std", "measured", "capture_weight", "bins", "clusters", "flow"):
+            if len(getattr(self, name)) != len(self.v):
+                raise ValueError(f"{name}: expected {len(self.v)} values, found {len(getattr(self, name))}")
 
     @cached_property
     def w(self) -> Array:
