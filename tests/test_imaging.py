@@ -251,6 +251,19 @@ def test_how_a_vehicle_moves_between_the_exposures_follows_from_its_left_outline
     np.testing.assert_allclose(plane.centre, outline.mean(0), rtol=3e-3, atol=1e-3)
 
 
+def test_more_matches_of_the_same_places_do_not_tell_more_of_the_rig(rig):
+    """What no model of the lens describes errs alike in all of them."""
+    uncertain = replace(rig, uncertainty=RigUncertainty(2.0, 0.5, (2e-4, 5e-5, 5e-4), (2e-4, 2e-4, 2e-4)))
+    static, moving = moving_points(rig, 0.0, count=1500)
+    repeated = Matches(*(np.repeat(getattr(static, field.name), 8, axis=0) for field in fields(Matches)))
+    once, often = (
+        fit_epipolar_residuals(uncertain, matches, moving, UNKNOWN_OFFSET, 0.017).rig.uncertainty
+        for matches in (static, repeated)
+    )
+    remaining = [np.sqrt(np.trace(u.covariance[8:11, 8:11])) for u in (once, often)]
+    assert remaining[1] > 0.9 * remaining[0]
+
+
 def test_where_little_moves_the_offset_is_unknown(rig):
     static, moving = moving_points(rig, 0.01)
     few = Matches(*(getattr(moving, field.name)[:5] for field in fields(Matches)))

@@ -23,7 +23,8 @@ from paceline.imaging.robust_weights import robust_sigma, tukey_weights
 
 MIN_MOVING_MATCHES = 12
 MIN_MATCH_RESIDUAL_PX = 0.03  # residuals of refined matches are at least those of interpolation
-CORRELATED_MATCHES = 4.0  # neighbouring matches that share their errors
+CORRELATED_MATCHES = 4.0  # neighbouring matches that share their errors …
+INDEPENDENT_PER_TILE = 4.0  # … and most that do not in a tile of the picture, where they err by what no model describes
 # Standard deviation of an epipolar residual that all matches of moving points share, by what else than the vehicle lies
 # in their windows; seen on clips with known offsets
 COMMON_MOVING_RESIDUAL_PX = 0.03
@@ -230,6 +231,7 @@ def _local_fit(
     The scales of Student's distributions are found by expectation maximisation and are at least 1.
     """
     x, information, weights, sigma = start, prior, np.ones(len(X)), MIN_MATCH_RESIDUAL_PX
+    correlated = max(CORRELATED_MATCHES, len(X) / (INDEPENDENT_PER_TILE * max(tiles, 1)))
     scaled = prior.copy()
     for group in first:
         scaled[group, group] *= FREE_PRECISION
@@ -237,7 +239,7 @@ def _local_fit(
         misfit = np.abs(residual - X @ x)
         sigma = robust_sigma(misfit, MIN_MATCH_RESIDUAL_PX)
         weights = tukey_weights(misfit, sigma)
-        of_matches = (X.T * weights) / (CORRELATED_MATCHES * sigma**2)
+        of_matches = (X.T * weights) / (correlated * sigma**2)
         information = of_matches @ X + scaled
         x = np.asarray(np.linalg.solve(information, of_matches @ residual), float)
         if step < FREE_STEPS:
