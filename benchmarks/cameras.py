@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from accuracy import off
 from baselines import Outcome, compare_methods, measured, outcome_cell
 from bends import METHODS
 from common import PLAIN_RIG, Rows, head, machine, raytraced, rendered, rms, row, share_out, suitable, why_not
 
 from paceline import UnusableInput
+from paceline.cameras import StereoRig, perturbed_rig
 from paceline.documents.loading import Clip
 from paceline.simulation.camera_errors import CameraErrors, StereoErrors
 from paceline.simulation.random_scenes.drawn import random_bend, random_scene
@@ -118,6 +118,13 @@ def errors_of(case: Case, frames: int) -> StereoErrors:
     return replace(errors, right=replace(errors.right, knock_frame=frames // 2, exposure_frame=frames // 2))
 
 
+def calibrated(rig: StereoRig, seed: int) -> StereoRig:
+    """A ``rig`` whose calibration is off by a draw from what is assumed where its uncertainty is not stated."""
+    assert rig.uncertainty is not None and rig.uncertainty.is_assumed
+    root = rig.uncertainty.covariance_root
+    return perturbed_rig(rig, np.random.default_rng([seed, 47]).standard_normal(len(root)) @ root)
+
+
 def drawn_scene(case: Case) -> Scene:
     def make(seed: int) -> Scene:
         if case.road == "bend":
@@ -151,8 +158,7 @@ def run(case: Case, renderer: str, clips: Path | None) -> Compared:
     try:
         with made as (clip, truth):
             if case.imperfection == RANDOM_ERRORS:
-                moved = off(clip.rig, case.seed, stated=False)
-                clip = replace(clip, rig=replace(moved, uncertainty=clip.rig.uncertainty))
+                clip = replace(clip, rig=calibrated(clip.rig, case.seed))
             return Compared(case, compare_methods(clip, truth, METHODS))
     except UnusableInput as unusable:  # a clip whose drawings contradict each other
         return Compared(case, [Outcome(method, reason=why_not(unusable)) for method in METHODS])
