@@ -225,6 +225,7 @@ def test_one_clock_is_as_likely_as_two():
     small, large = (expected_rate(Quantity(value, 1e-6, "estimated")) for value in (1e-6, 40e-6))
     assert small.value < 0.1e-6 and small.std > 1e-6  # by half of all cases in which it is 0
     assert large.value == pytest.approx(40e-6) and large.std == pytest.approx(1e-6)
+    assert expected_rate(Quantity(0.01, 1e-6, "estimated")).value == pytest.approx(0.01)
 
 
 def test_points_are_moved_on_by_constant_velocities_in_space(rig):
@@ -582,3 +583,6 @@ def test_a_place_is_found_between_the_views_by_what_the_outline_shows():
     np.testing.assert_allclose(rig.left.project(place), outline.mean(0))
     assert place[2] == pytest.approx(900.0 * 0.5 / (disparity + 0.3), rel=0.01)
     assert place_between_views(rig, outline - [175.0, 0.0], (picture, shifted), np.array([24.0, 40.0])) is None
+    assert place_between_views(rig, outline, (picture, shifted[:150]), np.array([24.0, 40.0])) is None  # a smaller view
+    blank = place_between_views(rig, outline, (0 * picture, 0 * shifted), np.array([24.0, 40.0]))
+    assert blank is not None and np.isfinite(blank).all()

@@ -88,11 +88,12 @@ def place_between_views(rig: StereoRig, left: Array, views: tuple[Image, Image],
     expected = rig.right.project(rig.to_right(rig.left.rays(middle) * depths[:, None]))
     first = np.floor(expected.min(0) - half).astype(int) - EPIPOLAR_MARGIN_PX
     last = np.ceil(expected.max(0) + half).astype(int) + EPIPOLAR_MARGIN_PX
-    if min(*corner, *first) < 0 or (np.maximum(end, last) > views[0].shape[::-1]).any():
+    if min(*corner, *first) < 0 or (end > views[0].shape[::-1]).any() or (last > views[1].shape[::-1]).any():
         return None
     template = views[0][corner[1] : end[1], corner[0] : end[0]]
     window = views[1][first[1] : last[1], first[0] : last[0]]
-    scores = np.asarray(cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED), float)
+    correlation = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)  # not a number where nothing is seen
+    scores = np.nan_to_num(np.asarray(correlation, float), nan=-1.0, posinf=-1.0, neginf=-1.0)
     y, x = (int(k) for k in np.unravel_index(int(np.argmax(scores)), scores.shape))
     peak = np.array([x + parabola_peak_at(scores[y], x), y + parabola_peak_at(scores[:, x], y)])
     return np.asarray(rig.left.rays(left.mean(0)) * triangulate(rig, middle, first + peak + half - 0.5)[2])

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.special import expit
 from scipy.stats import norm
 
 from paceline.arrays import Array, Image, Indices
@@ -261,9 +262,9 @@ def expected_rate(estimate: Quantity | None) -> Quantity:
     if estimate is None or estimate.std > 0.5 * CLOCK_RATE_STD:
         return Quantity(0.0, CLOCK_RATE_STD, "assumed")
     of_one, of_two = (
-        norm.pdf(estimate.value, scale=std) for std in (estimate.std, np.hypot(estimate.std, CLOCK_RATE_STD))
+        norm.logpdf(estimate.value, scale=std) for std in (estimate.std, np.hypot(estimate.std, CLOCK_RATE_STD))
     )
-    value = float(estimate.value * of_two / (of_one + of_two))
+    value = float(estimate.value * expit(of_two - of_one))
     return Quantity(value, float(np.hypot(estimate.std, estimate.value - value)), "estimated")
 
 

@@ -192,7 +192,7 @@ def _rate_entry(cameras: RecordedCameras, offset: Mapping[str, Any] | None) -> d
         return None
     times = cameras.recording.times
     grown = cameras.rate.std * float(np.sqrt(((times - middle_of(times)) ** 2).mean()))
-    effect = offset["speed_effect"] * grown / offset["std"]
+    effect = offset["speed_effect"] * grown / offset["std"] if offset["std"] else 0.0
     rate = cameras.rate
     return {"value": 1e6 * rate.value, "std": 1e6 * rate.std, "source": rate.source, "speed_effect": effect}
 
