@@ -122,7 +122,8 @@ def calibrated(rig: StereoRig, seed: int) -> StereoRig:
     """A ``rig`` whose calibration is off by a draw from what is assumed where its uncertainty is not stated."""
     assert rig.uncertainty is not None and rig.uncertainty.is_assumed
     root = rig.uncertainty.covariance_root
-    return perturbed_rig(rig, np.random.default_rng([seed, 47]).standard_normal(len(root)) @ root)
+    moved = perturbed_rig(rig, np.random.default_rng([seed, 47]).standard_normal(len(root)) @ root)
+    return replace(moved, uncertainty=rig.uncertainty)
 
 
 def drawn_scene(case: Case) -> Scene:
