@@ -211,7 +211,7 @@ def estimate_cameras(clip: Clip, recording: StereoRecording, progress: Progress 
     if clip.offset is None:
         rate, since_middle = expected_rate(fit.rate), steady.times - middle_of(steady.times)
         late += rate.value * since_middle
-        offset = replace(offset, std=float(np.hypot(offset.std, rate.std * np.sqrt((since_middle**2).mean()))))
+        offset = replace(offset, std=float(np.hypot(offset.std, growth_std(rate, steady.times))))
     steady = steady.corrected(late, steady.rotations)
     offset = replace(offset, value=lag + offset.value)
     clip = replace(clip, rig=fit.rig, offset=offset)
@@ -266,6 +266,12 @@ def expected_rate(estimate: Quantity | None) -> Quantity:
     )
     value = float(estimate.value * expit(of_two - of_one))
     return Quantity(value, float(np.hypot(estimate.std, estimate.value - value)), "estimated")
+
+
+def growth_std(rate: Quantity, times: Array) -> float:
+    """Standard deviation (s), RMS over frames at ``times`` (N,), of what the offset has grown by since the middle of
+    the recording at this ``rate`` (s/s)."""
+    return rate.std * float(np.sqrt(((times - middle_of(times)) ** 2).mean()))
 
 
 def with_assumed_exposures(clip: Clip, interval: float) -> Clip:

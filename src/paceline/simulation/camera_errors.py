@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -180,8 +181,15 @@ class RecordedLight:
 
     def __init__(self, errors: CameraErrors, size: tuple[int, int], seed: int, i: int) -> None:
         self.errors = errors
-        self.passed = 1 - _specks(errors.dirt, DIRT_RADII_PX, DIRT_OPACITIES, size, [seed, 31, i])
-        self.behind_drops = _specks(errors.rain, DROP_RADII_PX, (1.0, 1.0), size, [seed, 37, i])
+        self._size, self._seed, self._view = size, seed, i
+
+    @cached_property
+    def _passed(self) -> Image:
+        return 1 - _specks(self.errors.dirt, DIRT_RADII_PX, DIRT_OPACITIES, self._size, [self._seed, 31, self._view])
+
+    @cached_property
+    def _behind_drops(self) -> Image:
+        return _specks(self.errors.rain, DROP_RADII_PX, (1.0, 1.0), self._size, [self._seed, 37, self._view])
 
     def exposure(self, frame: int) -> float:
         """The exposure of a ``frame`` over that of the first one."""
@@ -192,9 +200,9 @@ class RecordedLight:
         """The ``light`` of a ``frame`` as it is recorded."""
         if self.errors.rain:
             blurred = cv2.GaussianBlur(light, (0, 0), DROP_BLUR_PX)
-            light = light + self._shaped(self.behind_drops, light) * (blurred - light)
+            light = light + self._shaped(self._behind_drops, light) * (blurred - light)
         if self.errors.dirt:
-            light = light * self._shaped(self.passed, light)
+            light = light * self._shaped(self._passed, light)
         return np.asarray(light * np.float32(self.exposure(frame)), np.float32) if self.errors.exposure_step else light
 
     @staticmethod

@@ -16,9 +16,8 @@ import numpy as np
 from paceline.cameras import VIEW_NAMES, Quantity
 from paceline.documents.loading import Clip
 from paceline.errors import UnusableInput
-from paceline.imaging.feature_matches import middle_of
 from paceline.imaging.frame_times import FrameTimes
-from paceline.imaging.recorded_cameras import RecordedCameras, estimate_cameras
+from paceline.imaging.recorded_cameras import RecordedCameras, estimate_cameras, growth_std
 from paceline.progress import Progress, Stage, frame_stage, no_stage
 from paceline.recordings.stereo import StereoFrames, StereoRecording
 from paceline.speed.choices import DeviceName
@@ -190,10 +189,8 @@ def _rate_entry(cameras: RecordedCameras, offset: Mapping[str, Any] | None) -> d
     is that of the offset which it amounts to over the recording, RMS. None where the offset is stated as constant."""
     if cameras.rate is None or offset is None:
         return None
-    times = cameras.recording.times
-    grown = cameras.rate.std * float(np.sqrt(((times - middle_of(times)) ** 2).mean()))
+    rate, grown = cameras.rate, growth_std(cameras.rate, cameras.recording.times)
     effect = offset["speed_effect"] * grown / offset["std"] if offset["std"] else 0.0
-    rate = cameras.rate
     return {"value": 1e6 * rate.value, "std": 1e6 * rate.std, "source": rate.source, "speed_effect": effect}
 
 

@@ -19,7 +19,7 @@ from paceline.speed.filter.initialization import is_heading_known
 from paceline.speed.filter.tracker import Tracker
 from paceline.speed.geometry.fitted_arc import fit_arc, travel_along
 from paceline.speed.geometry.initial_plane import plane_across, plane_from_outlines
-from paceline.speed.geometry.paths import Path, distance_beside, path_ahead
+from paceline.speed.geometry.paths import Path, both_ways, distance_beside, path_ahead
 from paceline.speed.methods import OnEstimate
 from paceline.speed.refinement.keyframes import Keyframe, exposures
 from paceline.speed.refinement.model_selection import RefinedMotion, refine
@@ -365,8 +365,7 @@ def _path_beside(clip: Clip, vehicle: VehicleDocument, path: Path, configuration
     Raises UnusableInput where it is known and elsewhere.
     """
     centre = plane_from_outlines(clip.rig, vehicle, path, configuration.click_sigma).centre
-    offset = clip.paths[path.name].lateral_offset
-    distance, is_known = distance_beside([p.shifted(offset) for p in (path, path.reversed())], centre)
+    distance, is_known = distance_beside(both_ways(path, clip.paths[path.name].lateral_offset), centre)
     if distance < MAX_PATH_DISTANCE_M:
         return path
     if not is_known:

@@ -34,7 +34,7 @@ from paceline.speed.geometry.initial_plane import (
     plane_across,
     plane_from_outlines,
 )
-from paceline.speed.geometry.paths import Path
+from paceline.speed.geometry.paths import Path, both_ways
 
 
 class Tracker:
@@ -75,7 +75,7 @@ class Tracker:
         self.texture = ReferenceTexture(rig, grid, vehicle.left, c.reference_memory) if c.guided else None
         self.plane = plane_from_outlines(rig, vehicle, path, c.click_sigma)
         self._compare_displaced(vehicle.displacement)
-        self.candidate_paths = [] if path is None else [p.shifted(lateral_offset) for p in (path, path.reversed())]
+        self.candidate_paths = [] if path is None else both_ways(path, lateral_offset)
         self._motions = candidate_motions(rig, self.candidate_paths, c)
         self.particle_set: Particles
         self._views: Views

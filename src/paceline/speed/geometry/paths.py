@@ -132,6 +132,12 @@ class Path:
         return Path(self.name, self.shape, s, self.points[::-1].copy(), self.modes[:, ::-1].copy())
 
 
+def both_ways(path: Path, lateral_offset: float) -> list[Path]:
+    """The drawn ``path`` in both directions, along which a vehicle may drive, each ``lateral_offset`` m to its own
+    right."""
+    return [p.shifted(lateral_offset) for p in (path, path.reversed())]
+
+
 def distance_beside(paths: Sequence[Path], place: Array) -> tuple[float, bool]:
     """The distance (m) at which the nearest of the ``paths`` passes a ``place`` (3,), and whether it is known there: a
     curve is not beyond its ends, where it runs on straight, and the road need not."""

@@ -9,9 +9,8 @@ import numpy as np
 
 from paceline.arrays import Array
 
-SHARE_ROUNDING = (
-    1e-9  # share of all weights: more than what rounding makes of sums of 10⁷, less than one vehicle of them
-)
+# Share of all weights: more than what rounding makes of sums of 10⁷, less than one vehicle of them
+SHARE_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

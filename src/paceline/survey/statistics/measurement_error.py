@@ -17,9 +17,8 @@ MAX_ERROR_SHARE = 0.5  # standard deviation of errors as a share of the speeds',
 LEAST_ERROR_MPS = 1e-9  # instead of 0, where a speed is exact
 ROOT_TOLERANCE_MPS = 1e-7
 NORMAL_REACH = 6.5  # standard deviations, beyond which a normal distribution leaves 10⁻¹⁰
-BRACKET_STEP_SHARE = (
-    0.1  # of the speeds' standard deviation, first distance from the percentile within which its root is sought
-)
+# First distance from the percentile within which its root is sought, of the speeds' standard deviation
+BRACKET_STEP_SHARE = 0.1
 
 
 def measurement_shift(v: Array, w: Array, random_std: Array, p: float, speeds: Distribution | None = None) -> float:
